@@ -95,7 +95,7 @@ def _reporting_unwritten_answer() -> Iterator[None]:
         except SystemExit as leaving:
             # If the reader has gone, the libraries leave with the exit code of a defect.
             if isinstance(leaving.__context__, BrokenPipeError):
-                leaving.code = ExitCode.UNWRITTEN
+                leaving.code = ExitCode.OUTPUT_FAILED
             raise
         finally:
             sys.stdout.flush()
@@ -106,7 +106,7 @@ def _reporting_unwritten_answer() -> Iterator[None]:
         # At its end Python would try again to write what is left.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.stderr.write(f"heliocube: the answer cannot be written to standard output: {error.strerror}\n")
-        sys.exit(ExitCode.UNWRITTEN)
+        sys.exit(ExitCode.OUTPUT_FAILED)
 
 
 def _stdout_takes_more() -> bool:
@@ -120,9 +120,9 @@ def _stdout_takes_more() -> bool:
 
 def _refuse_a_damaged_installation() -> None:
     """Leave with code 2 if another distribution has overwritten a package of ours; not called for stop and stow."""
-    from daemon.base.installation import damage  # noqa: PLC0415 - a stop does not wait for it
+    from daemon.base.installation import overwritten_package_text  # noqa: PLC0415 - a stop does not wait for it
 
-    found = damage()
+    found = overwritten_package_text()
     if found is not None:
         sys.stderr.write(f"heliocube: {found}\n")
         sys.exit(2)
@@ -146,17 +146,17 @@ def _parse_plain_options(words: Sequence[str]) -> dict[str, str] | None:
 
 
 def _send_command(command: str, given: dict[str, str]) -> None:
-    from daemon.api.client import find  # noqa: PLC0415 - not needed by the other commands
-    from daemon.commands.status.times import in_local  # noqa: PLC0415 - as above
+    from daemon.api.client import find_service  # noqa: PLC0415 - not needed by the other commands
+    from daemon.commands.status.times import localise_times  # noqa: PLC0415 - as above
     from daemon.commands.wrapping import wrapped  # noqa: PLC0415 - as above
 
     paths = {name: Path(given[name]) for name in ("config", "token_file") if name in given}
     said = {name: given[name] for name in ("why", "tracker") if name in given}
     try:
-        client = find(paths.get("config"), given.get("api"), paths.get("token_file"))
+        client = find_service(paths.get("config"), given.get("api"), paths.get("token_file"))
         reply = client.command(command, **said)
     except UserError as error:
-        sys.stderr.write(wrapped(f"heliocube: {in_local(str(error))}", sys.stderr) + "\n")
+        sys.stderr.write(wrapped(f"heliocube: {localise_times(str(error))}", sys.stderr) + "\n")
         sys.exit(error.exit_code)
-    sys.stdout.write(wrapped(in_local(reply.text), sys.stdout) + "\n")
+    sys.stdout.write(wrapped(localise_times(reply.text), sys.stdout) + "\n")
     sys.exit(reply.exit_code)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from daemon.base.records import Mode
-from daemon.tracker.modes import Data, Situation, next_mode
+from daemon.tracker.modes import DataState, Situation, next_mode
 
 PAGE = Path(__file__).parent / "modes.md"
 
@@ -28,9 +28,9 @@ CONDITIONS: dict[str, tuple[str, Any, Any]] = {
     "night_why": ("night", "x", None),
 }
 DATA = {
-    Data.FRESH: "readings good",
-    Data.BAD: "no good readings, or dark by day",
-    Data.WAITING: "readings awaited",
+    DataState.FRESH: "readings good",
+    DataState.BAD: "no good readings, or dark by day",
+    DataState.WAITING: "readings awaited",
 }
 _INTRO = """# Modes: every situation by every mode
 
@@ -58,7 +58,7 @@ This table has the mode when the conditions of row and column hold, and no other
 def situations() -> Iterator[Situation]:
     """Yield every situation there is."""
     for values in product(*([met, unmet] for _, met, unmet in CONDITIONS.values())):
-        for data in Data:
+        for data in DataState:
             yield Situation(**dict(zip(CONDITIONS, values, strict=True)), data=data, data_why="x")
 
 
@@ -104,7 +104,7 @@ def page() -> str:
 
 def _with(*fields: str) -> Situation:
     values = {field: met if field in fields else unmet for field, (_, met, unmet) in CONDITIONS.items()}
-    return Situation(**values, data=Data.FRESH, data_why="x")
+    return Situation(**values, data=DataState.FRESH, data_why="x")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from solar.ephemeris import Site, sun_position
 from solar.ephemeris import sun_day as almanac_day
 from solar.frames import Array
 from solar.gain import printed, real_sky
-from solar.gain.geometry import declination_deg, sun_day
+from solar.gain.geometry import declination_deg, sun_path
 
 PHI, BETA, N = np.arange(0.0, 66.0, 5.0)[:, None, None], np.arange(0.0, 91.0, 5.0)[:, None], gain.DAYS
 GREENWICH_JUNE_21_UTC_S = 1687348800.0
@@ -130,7 +130,7 @@ def _quartic() -> str:
 
 @_erratum("10")
 def _taylor() -> str:
-    day = sun_day(45.0, 81.0)
+    day = sun_path(45.0, 81.0)
     a, b = float(day.a), float(day.b)
     printed_x3 = -(a**2) / 2 * (1 + a**2 / 8 + b**2)
     right_x3 = (1 - b**2) / 2 - a**2 / 4 - a**4 / 16 - 0.75 * a**2 * b**2
@@ -172,7 +172,7 @@ def _doubling() -> str:
 
 def _morning(phi: Array, beta: Array, n: Array, deviation: float, steps: int = 2000) -> Array:
     """Morning half of the full day's sum [h], by the midpoint rule, with the true azimuth."""
-    w0 = sun_day(phi, n).w0
+    w0 = sun_path(phi, n).w0
     b, turned = np.radians(beta), np.radians(deviation)
     total = np.zeros(np.broadcast_shapes(w0.shape, beta.shape))
     for share in (np.arange(steps) + 0.5) / steps:
@@ -191,7 +191,7 @@ def _h11() -> str:
 
 @_erratum("15")
 def _h31() -> str:
-    day = sun_day(45.0, 172.0)
+    day = sun_path(45.0, 172.0)
     a, b, w0, cos_d = float(day.a), float(day.b), float(day.w0), float(day.cos_delta)
     q1, q2 = a * np.sin(np.pi / 4) * 0.5 * cos_d, b / 2.0 * np.sin(np.pi / 4) * 0.5 * cos_d
     h31 = 6.0 / np.pi * (-(2.0 * q1 + q2) + 2.0 * q1 * np.cos(w0) + q2 * np.cos(2.0 * w0))
@@ -213,7 +213,7 @@ def _odd_terms() -> str:
 
 @_erratum("19")
 def _range_of_x() -> str:
-    return f"45 N, n 172: x goes down to {float(np.cos(sun_day(45.0, 172.0).w0)):.3f}"
+    return f"45 N, n 172: x goes down to {float(np.cos(sun_path(45.0, 172.0).w0)):.3f}"
 
 
 @_erratum("20")
@@ -236,13 +236,13 @@ def _last_latitude() -> str:
 
 @_erratum("23")
 def _script3_x1() -> str:
-    a = float(sun_day(65.0, 172.0).a)
+    a = float(sun_path(65.0, 172.0).a)
     return f"65 N, n 172: X1 {1 - a**2 / 2 - a**4 / 4:.4f} for {1 - a**2 / 2 - a**4 / 8:.4f}"
 
 
 @_erratum("24")
 def _script3_x5() -> str:
-    day = sun_day(65.0, 172.0)
+    day = sun_path(65.0, 172.0)
     a, b = float(day.a), float(day.b)
     script = -(a**2) / 4 * (1 + b**2 + 3 * a**2 / 16 + 1.25)
     equation = -(a**2) / 4 * (b**2 + 3 * a**2 / 16 + 1.25)

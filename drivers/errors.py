@@ -42,7 +42,7 @@ class DeadlineError(DeviceError):
     """One exchange took longer than its deadline."""
 
 
-class UnreachedError(DeadlineError):
+class UnavailableError(DeadlineError):
     """A gateway, or a busy device, says that it cannot give an answer now."""
 
 

@@ -211,7 +211,7 @@ class Telemetry:
         if any(hasattr(value, "item") for value in self.details.values()):
             object.__setattr__(self, "details", {name: _of_python(value) for name, value in self.details.items()})
 
-    def again(self, time_s: float) -> "Telemetry":
+    def with_time(self, time_s: float) -> "Telemetry":
         """Return the same look, made once more at this time [s]: its values need no second conversion."""
         later = object.__new__(Telemetry)
         for name in Telemetry.__slots__:

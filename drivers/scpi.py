@@ -12,9 +12,9 @@ from typing import Protocol
 
 from drivers.errors import ConnectError, DeadlineError, ProtocolError
 
-POWER_ON = 128
+POWER_ON_BIT = 128
 """Event bit of an instrument that has restarted."""
-ERRORS = 4 | 8 | 16 | 32
+ERROR_BITS = 4 | 8 | 16 | 32
 """Event bits of commands that were not carried out."""
 
 # No register has more digits, and Python refuses to make a number of thousands of them.
@@ -48,7 +48,7 @@ class ScpiLine(Protocol):
     async def drain(self, quiet_s: float) -> None:
         """Throw away what comes until nothing has come for a time [s]."""
 
-    async def has_unasked(self) -> bool:
+    async def discard_unsolicited(self) -> bool:
         """Throw away what has come and nobody has read, and return whether it was more than the end of a line."""
 
 
@@ -78,7 +78,7 @@ class ScpiSession:
         self._number = 0
 
     @contextlib.contextmanager
-    def doubting(self) -> Iterator[None]:
+    def doubtful_exchange(self) -> Iterator[None]:
         """Be in doubt until the block has come to its end: an error or a cancellation before that leaves the doubt."""
         self.in_doubt = True
         yield
@@ -95,7 +95,7 @@ class ScpiSession:
         except DeadlineError:
             raise DeadlineError(self._device, f"did not answer {query} within {self._deadline_s:g} s") from None
 
-    async def quieten(self) -> None:
+    async def discard_pending_output(self) -> None:
         """Make the instrument drop what it still had to say, and throw away what is under way already."""
         await self._line.interrupt()
         await self._line.drain(_QUIET_S)
@@ -113,9 +113,9 @@ class ScpiSession:
 
     async def events(self) -> int:
         """Return the standard event register, which reading clears; `ProtocolError` if the answer is no number."""
-        return self.whole("*ESR?", await self.ask("*ESR?"))
+        return self.parse_integer("*ESR?", await self.ask("*ESR?"))
 
-    def whole(self, query: str, answer: str) -> int:
+    def parse_integer(self, query: str, answer: str) -> int:
         """Return the whole number that answers a question; `ProtocolError` if it has not one to ten digits."""
         if not _WHOLE.fullmatch(answer):
             raise ProtocolError(self._device, f"answers {answer[:80]!r} to {query}")
@@ -130,7 +130,7 @@ class ScpiSession:
 
 
 @contextlib.contextmanager
-def opening(device: str, settings: str) -> Iterator[None]:
+def silence_as_connect_error(device: str, settings: str) -> Iterator[None]:
     """Turn silence while an instrument is opened into a `ConnectError` that says what to check.
 
     Parameters

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 from drivers.errors import DeadlineError, LinkLostError, ProtocolError
-from drivers.scpi import POWER_ON, ScpiLine, ScpiSession, opening
+from drivers.scpi import POWER_ON_BIT, ScpiLine, ScpiSession, silence_as_connect_error
 
 Proof = tuple[str, str | float]
 """A question, and the answer that proves a setting: a text, a list of channels or a number."""
@@ -34,7 +34,7 @@ class MeterSession(ScpiSession):
         self._identity = ""
         self._looks = 0
 
-    def require(self, identity: str) -> None:
+    def require_identity(self, identity: str) -> None:
         """Raise `IdentityError` unless an answer to ``*IDN?`` is that of such a meter."""
         raise NotImplementedError
 
@@ -44,10 +44,10 @@ class MeterSession(ScpiSession):
 
     async def start(self) -> str:
         """Identify, configure, read the configuration back, and return the meter's identity."""
-        with opening(self._device, "this interface and speed"):
-            await self.quieten()
+        with silence_as_connect_error(self._device, "this interface and speed"):
+            await self.discard_pending_output()
             self._identity = await self.ask("*IDN?")
-            self.require(self._identity)
+            self.require_identity(self._identity)
             await self.synchronise()
             await self.configure()
             changed = await self._first_changed_setting()
@@ -55,15 +55,15 @@ class MeterSession(ScpiSession):
             raise ProtocolError(self._device, f"did not keep its configuration: {changed}")
         return self._identity
 
-    async def look(self) -> None:
+    async def check_next_setting(self) -> None:
         """Read one setting back, another one each time: a filter set at the front panel mixes the faces unnoticed."""
         self._looks += 1
         if why := await self._differs(*self._proofs[self._looks % len(self._proofs)]):
             raise LinkLostError(self._device, why)
 
-    async def make_sure(self) -> None:
+    async def ensure_synchronised(self) -> None:
         """Make sure that the next answer belongs to the next question: a meter may have said more than it was asked."""
-        if self.in_doubt or await self._line.has_unasked():
+        if self.in_doubt or await self._line.discard_unsolicited():
             self.in_doubt = True
             await self.resynchronise()
             self.in_doubt = False
@@ -71,9 +71,9 @@ class MeterSession(ScpiSession):
     async def resynchronise(self) -> None:
         """End a doubt: prove that answers belong to their questions, and that the meter is still set as it was."""
         try:
-            await self.quieten()
+            await self.discard_pending_output()
             await self.synchronise()
-            restarted = bool(await self.events() & POWER_ON) or await self.ask("*IDN?") != self._identity
+            restarted = bool(await self.events() & POWER_ON_BIT) or await self.ask("*IDN?") != self._identity
             why = "it has restarted and lost its configuration" if restarted else await self._first_changed_setting()
         except (DeadlineError, ProtocolError) as error:
             raise LinkLostError(self._device, f"has gone silent: {error.message}") from error

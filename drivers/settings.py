@@ -42,7 +42,7 @@ class SettingsError(Exception):
     """The settings lack what the driver needs to reach its instrument: one sentence with the key and the remedy."""
 
 
-def text_of(form: str) -> WithJsonSchema:
+def text_schema(form: str) -> WithJsonSchema:
     """Return the schema of a text of one of the forms that `daemon.config.keys` has words for."""
     return WithJsonSchema({"type": "string", "format": form})
 
@@ -69,12 +69,12 @@ def stable_visa(text: str) -> str:
     return text
 
 
-def held_way(resource: str | None, prologix_port: str | None) -> dict[str, str | None]:
+def exclusive_resource(resource: str | None, prologix_port: str | None) -> dict[str, str | None]:
     """Return what an instrument behind VISA holds: the port of its adapter, or its VISA name if it has no adapter."""
     return {"resource": resource} if prologix_port is None else {"prologix_port": prologix_port}
 
 
-def way_of(name: str) -> str:
+def canonical_address(name: str) -> str:
     """Return where a port, a server or a VISA name leads: for VISA's name of a serial line, its port."""
     found = _VISA_RESOURCE.fullmatch(name)
     if found is None:
@@ -110,9 +110,9 @@ Positive = Annotated[float, Field(gt=0)]
 METER_RANGES_V = (0.1, 1.0, 10.0)
 """The ranges of every meter here for the DC voltages of sensors."""
 MeterRange = Annotated[float, AfterValidator(_range), WithJsonSchema({"type": "number", "enum": list(METER_RANGES_V)})]
-PortPath = Annotated[str, AfterValidator(stable_port), text_of("port")]
-HostAndPort = Annotated[str, AfterValidator(_checked_server), text_of("server")]
-VisaResource = Annotated[str, AfterValidator(stable_visa), text_of("visa")]
+PortPath = Annotated[str, AfterValidator(stable_port), text_schema("port")]
+HostAndPort = Annotated[str, AfterValidator(_checked_server), text_schema("server")]
+VisaResource = Annotated[str, AfterValidator(stable_visa), text_schema("visa")]
 
 
 class DriverSettings(BaseModel):

@@ -19,7 +19,7 @@ def no_tap(_direction: Direction, _data: bytes) -> None:
     """Do nothing."""
 
 
-class Piece(NamedTuple):
+class TranscriptEntry(NamedTuple):
     """Bytes that went one way at a time [s]."""
 
     time_s: float
@@ -27,12 +27,12 @@ class Piece(NamedTuple):
     data: bytes
 
 
-def line_of(piece: Piece) -> str:
+def line_of(piece: TranscriptEntry) -> str:
     """Return the line that stands for a piece."""
     return f"{piece.time_s:.3f} {piece.direction} {json.dumps(piece.data.decode('latin-1'))}"
 
 
-def parse(lines: Iterable[str]) -> list[Piece]:
+def parse(lines: Iterable[str]) -> list[TranscriptEntry]:
     """Read lines back; empty ones and those that begin with ``#`` are remarks.
 
     Raises
@@ -48,7 +48,7 @@ def parse(lines: Iterable[str]) -> list[Piece]:
             time_text, direction, text = line.rstrip("\n").split(" ", 2)
             data = json.loads(text).encode("latin-1")
             sent = (">", "<").index(direction) == 0
-            pieces.append(Piece(float(time_text), ">" if sent else "<", data))
+            pieces.append(TranscriptEntry(float(time_text), ">" if sent else "<", data))
         except (ValueError, AttributeError) as error:
             raise ValueError(f"line {number} of the transcript is not 'time > \"bytes\"': {line.strip()!r}") from error
     return pieces

@@ -18,7 +18,7 @@ _MIDC_PREFIXES = {"Global Horiz": "ghi", "Direct Normal": "dni", "Diffuse Horiz"
 _Found = tuple[pd.DataFrame, Site | None]
 
 
-class Network(NamedTuple):
+class WeatherFileFormat(NamedTuple):
     """A format: what reads a plain file of it, what stands between its cells, and how many lines a record has.
 
     `read` returns a frame with a UTC or local index and columns of ghi, dni, dhi, wind_speed and temp_air, and the site
@@ -30,19 +30,19 @@ class Network(NamedTuple):
     lines: int = 1
 
 
-def network_of(first: str, second: str, third: str, typical_year: int | None) -> Network | None:
+def detect_file_format(first: str, second: str, third: str, typical_year: int | None) -> WeatherFileFormat | None:
     """Return the format that the first three lines of a file are of, or None; raises `ValueError` for a damaged TMY3.
 
     `typical_year` is the calendar year to lay a TMY3 file in, by default that of its first record.
     """
     if first.startswith(("*U", "*C")):
-        return Network(_bsrn, None, lines=2)
+        return WeatherFileFormat(_bsrn, None, lines=2)
     if _SURFRAD_SITE.match(second):
-        return Network(_surfrad, None)
+        return WeatherFileFormat(_surfrad, None)
     if "Date (MM/DD/YYYY)" in second and "Time (HH:MM)" in second:
-        return Network(partial(_tmy3, year=int(third[6:10]) if typical_year is None else typical_year), ",")
+        return WeatherFileFormat(partial(_tmy3, year=int(third[6:10]) if typical_year is None else typical_year), ",")
     if first.startswith("DATE (MM/DD/YYYY)") or ",Year,DOY," in first:
-        return Network(partial(_midc, header=first), ",")
+        return WeatherFileFormat(partial(_midc, header=first), ",")
     return None
 
 

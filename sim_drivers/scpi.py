@@ -56,7 +56,7 @@ def spellings(pattern: str) -> list[str]:
     return sorted({"".join(parts).removeprefix(":") for parts in product(*choices)})
 
 
-def messages(line: str) -> tuple[list[ScpiCommand], int]:
+def split_commands(line: str) -> tuple[list[ScpiCommand], int]:
     """Cut a line into its commands; return them with the error code that ended the line, 0 if none did."""
     found: list[ScpiCommand] = []
     path = ""

@@ -23,21 +23,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from sim_drivers.network_files import Network, network_of
+from sim_drivers.network_files import WeatherFileFormat, detect_file_format
 from sim_drivers.weather import Conditions, WeatherError
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, kilowatts_note
 from solar.tables import (
-    NO_READING,
+    MISSING_VALUES,
     broken_line,
+    read_error_text,
     second_header_hint,
     separator_of,
     summer_time_hint,
     unreadable,
     utc_times,
-    whole_lines,
-    why_unread,
+    without_broken_line,
 )
 
 LONGEST_GAP_S = 3600.0
@@ -174,7 +174,7 @@ def load_weather(path: Path, *, typical_year: int | None = None) -> MeasuredWeat
         ValueError,
     ) as error:
         # The formats' readers may raise anything for a damaged file.
-        raise WeatherFileError(f"weather file {path} cannot be read: {why_unread(error)}") from error
+        raise WeatherFileError(f"weather file {path} cannot be read: {read_error_text(error)}") from error
 
 
 def site_mismatch(weather: MeasuredWeather, site: Site) -> str | None:
@@ -220,7 +220,7 @@ def _read(path: Path, typical_year: int | None) -> MeasuredWeather:
         raise WeatherFileError(
             f"weather file {path} is empty: name one with records, such as CSV with the columns time, ghi, dni and dhi"
         )
-    network = network_of(first, second, third, typical_year)
+    network = detect_file_format(first, second, third, typical_year)
     if network is not None:
         return _read_network(path, network)
     separator = separator_of(first)
@@ -275,7 +275,7 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     values = {key: np.full(utc_s.size, np.nan) for key in (*IRRADIANCES, *OPTIONAL)}
     impossible: list[str] = []
     for column in [name for name in values if name in found]:
-        text = cells[column].mask(cells[column].str.lower().isin(NO_READING), "")
+        text = cells[column].mask(cells[column].str.lower().isin(MISSING_VALUES), "")
         numbers = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
         bad = _first_true((text != "") & np.isnan(numbers))
         if bad is not None:
@@ -296,8 +296,8 @@ def _csv(path: Path, separator: str) -> MeasuredWeather:
     return MeasuredWeather(f"weather file {path}", utc_s, values, left_out=left_out, simulated=simulated)
 
 
-def _read_network(path: Path, network: Network) -> MeasuredWeather:
-    with whole_lines(path, network.separator, network.lines) as (whole, broken):
+def _read_network(path: Path, network: WeatherFileFormat) -> MeasuredWeather:
+    with without_broken_line(path, network.separator, network.lines) as (whole, broken):
         frame, site = network.read(whole)
     for column in IRRADIANCES:
         if column not in frame:

@@ -40,7 +40,7 @@ class ChainBias:
         found = self.constant_w + power * (self.linear + power * self.quadratic_per_w)
         return np.where(power > 0.0, np.maximum(found, 0.0), power * 0.0)
 
-    def beyond(self, power_w: ArrayLike) -> NDArray[np.bool_]:
+    def is_extrapolated(self, power_w: ArrayLike) -> NDArray[np.bool_]:
         """Tell where a power lies outside the fitted range."""
         power = np.asarray(power_w, dtype=np.float64)
         return (power < self.lowest_w) | (power > self.highest_w)

@@ -24,7 +24,7 @@ _DAY_TYPE_BOUNDS = (0.3, 0.8, 0.97)
 _NIGHT_A_DEG, _NIGHT_B_DEG = 0.0, 90.0
 
 
-class Shining(Protocol):
+class IrradianceSource(Protocol):
     """A sky over n instants that shines on planes."""
 
     def irradiance_on(self, normals: ArrayLike, albedo: float = ...) -> Array:
@@ -99,7 +99,9 @@ class DaylightWeather:
         return float((known / daylight).sum())
 
 
-def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: float = 60.0) -> DaylightWeather:
+def arrange_daylight(
+    utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: float = 60.0
+) -> DaylightWeather:
     """Return the daylight part of weather at instants `utc_s`, multiples of `step_s`, in solar days of the site.
 
     NaN is missing weather; negative values count as zero. Raises `ValueError` if no instant has sun and weather,
@@ -130,7 +132,7 @@ def lay_out(utc_s: Array, dni_w_m2: Array, dhi_w_m2: Array, site: Site, step_s: 
     )
 
 
-def build_sky(weather: DaylightWeather, model: str) -> Shining:
+def build_sky(weather: DaylightWeather, model: str) -> IrradianceSource:
     """Return the weather's sky under one of SKIES; `ValueError` for another name."""
     if model == ALL_WEATHER:
         return all_weather_sky(weather.sun, weather.dni_w_m2, weather.dhi_w_m2, weather.extra_w_m2)
@@ -142,12 +144,12 @@ def build_sky(weather: DaylightWeather, model: str) -> Shining:
     raise ValueError(f"there is no sky {model!r}; choose one of {', '.join(SKIES)}")
 
 
-def faces_under(light: Shining, albedo: float) -> Array:
+def face_irradiances(light: IrradianceSource, albedo: float) -> Array:
     """Return what the cube's faces east, south, west, zenith read [W/m2], shape (n, 4)."""
     return np.stack([light.irradiance_on(normal[None, :], albedo) for normal in FACE_NORMALS], axis=-1)
 
 
-def best_possible(weather: DaylightWeather, light: Shining, limits: Limits, albedo: float) -> Array:
+def best_possible(weather: DaylightWeather, light: IrradianceSource, limits: Limits, albedo: float) -> Array:
     """Return the irradiance [W/m2] at the best (A, B) of every instant, shape (n,): no controller can beat it.
 
     Found by search: a grid of 10 by 7.5 deg, then a pattern search down to 0.25 deg.
@@ -213,18 +215,23 @@ class Harvest:
 
 
 Steer = Callable[[int, Array, Array], tuple[Array, Array]]
-Taken = Callable[[Array, Array], Array]
+ShadeLoss = Callable[[Array, Array], Array]
 """Returns the irradiance [W/m2] that planes at angles A and B [deg] lose at each instant; all of shape (n,)."""
 
 
-def fixed(weather: DaylightWeather, tilt_deg: float) -> Steer:
+def steer_fixed_tilt(weather: DaylightWeather, tilt_deg: float) -> Steer:
     """Stand still: a plane that never moves after dawn, tilted towards the equator; the limits do not hold for it."""
     days = weather.shape[1]
     return lambda _step, _a, _b: (np.zeros(days), np.full(days, 90.0 - tilt_deg))
 
 
 def harvest(
-    weather: DaylightWeather, light: Shining, albedo: float, drive: Drive, steer: Steer, taken: Taken | None = None
+    weather: DaylightWeather,
+    light: IrradianceSource,
+    albedo: float,
+    drive: Drive,
+    steer: Steer,
+    taken: ShadeLoss | None = None,
 ) -> Harvest:
     """Drive a tracker through every day at once and add up what its plane receives.
 

@@ -64,7 +64,7 @@ def normal_from_angles(a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
     Andriamahefa et al. (2023), equation (13). Raises `ValueError` for what is no number.
     """
     a, b = np.radians(_numbers(a_deg)), np.radians(_numbers(b_deg))
-    return joined(np.cos(a) * np.cos(b), -np.sin(a), np.cos(a) * np.sin(b))
+    return stack_components(np.cos(a) * np.cos(b), -np.sin(a), np.cos(a) * np.sin(b))
 
 
 def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
@@ -74,7 +74,7 @@ def angles_from_direction(direction: ArrayLike) -> tuple[Array, Array]:
     B runs from 0 to 180 deg here; limits are not applied. A direction that is zero, NaN or infinite gives NaN, and
     another shape `ValueError`, here and below.
     """
-    vector = vectors(direction)
+    vector = as_vectors(direction)
     length, b_deg = _length_and_b(vector)
     return np.degrees(np.arcsin(bounded(-vector[..., 1] / length, -1.0, 1.0))), b_deg
 
@@ -99,7 +99,7 @@ def angles_within(direction: ArrayLike, limits: Limits) -> tuple[Array, Array]:
     if not isinstance(given, Limits):
         wanted = "Limits(a_min_deg, a_max_deg, b_min_deg, b_max_deg)"
         raise ValueError(f"the limits must be {wanted}, and not {given!r}")  # noqa: TRY004 - as for all bad numbers
-    vector = vectors(direction)
+    vector = as_vectors(direction)
     _, free_b_deg = _length_and_b(vector)
     b_deg = bounded(free_b_deg, limits.b_min_deg, limits.b_max_deg)
     b = np.radians(b_deg)
@@ -112,12 +112,12 @@ def direction_from_azimuth(azimuth_deg: ArrayLike, elevation_deg: ArrayLike, lat
     """Return unit vector(s), shape (..., 3), of an azimuth (from North, clockwise) and an elevation [deg]."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
     equatorward = -_hemisphere(latitude_deg) * np.cos(azimuth) * np.cos(elevation)
-    return joined(equatorward, np.sin(azimuth) * np.cos(elevation), np.sin(elevation))
+    return stack_components(equatorward, np.sin(azimuth) * np.cos(elevation), np.sin(elevation))
 
 
 def azimuth_from_direction(direction: ArrayLike, latitude_deg: float) -> tuple[Array, Array]:
     """Return (azimuth_deg from North clockwise, elevation_deg) of vector(s) of shape (..., 3)."""
-    vector = vectors(direction)
+    vector = as_vectors(direction)
     north = -_hemisphere(latitude_deg) * vector[..., 0]
     azimuth = np.degrees(np.arctan2(vector[..., 1], north)) % 360.0
     elevation = np.degrees(np.arctan2(vector[..., 2], np.hypot(vector[..., 0], vector[..., 1])))
@@ -134,7 +134,7 @@ def separation_deg(first: ArrayLike, second: ArrayLike) -> Array:
 
     NaN where either direction is zero, NaN or infinite.
     """
-    u, v = vectors(first), vectors(second)
+    u, v = as_vectors(first), as_vectors(second)
     with np.errstate(invalid="ignore", over="ignore"):
         across: Array = np.linalg.norm(np.cross(u, v), axis=-1)
         along: Array = np.sum(u * v, axis=-1)
@@ -148,7 +148,7 @@ def bounded(values: ArrayLike, low: ArrayLike, high: ArrayLike) -> Array:
     return result
 
 
-def joined(*components: ArrayLike) -> Array:
+def stack_components(*components: ArrayLike) -> Array:
     """Return components, of shapes that broadcast together, along a new last axis."""
     made = np.empty((*np.broadcast(*components).shape, len(components)))
     for place, component in enumerate(components):
@@ -156,7 +156,7 @@ def joined(*components: ArrayLike) -> Array:
     return made
 
 
-def vectors(given: ArrayLike) -> Array:
+def as_vectors(given: ArrayLike) -> Array:
     """Return directions as an array of shape (..., 3); `ValueError` for another shape and for what is no number."""
     if hasattr(given, "azimuth_deg"):
         raise ValueError("directions are south, east, up, and not a SunPosition: take them from sun_direction")

@@ -12,7 +12,7 @@ LOWEST_W_M2, HIGHEST_W_M2 = -50.0, 2500.0
 _HIGH_SUN_DEG, _DARKEST_W_M2 = 20.0, 2.0
 
 
-def possible(irradiance_w_m2: ArrayLike) -> NDArray[np.bool_]:
+def is_possible(irradiance_w_m2: ArrayLike) -> NDArray[np.bool_]:
     """Tell which irradiances can be, in an array of the same shape; NaN cannot."""
     values = np.asarray(irradiance_w_m2, dtype=np.float64)
     found: NDArray[np.bool_] = (values >= LOWEST_W_M2) & (values <= HIGHEST_W_M2)

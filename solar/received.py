@@ -14,10 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within, normal_from_angles
-from solar.laws.light import FACES_NEEDED, aim_vector, irradiance_on, light_from_faces, usable_faces, within_reach
+from solar.laws.light import (
+    FACES_NEEDED,
+    aim_vector,
+    irradiance_on,
+    light_from_faces,
+    usable_faces,
+    without_unreachable_beam,
+)
 
 
-class Received(NamedTuple):
+class ReceivedIrradiance(NamedTuple):
     """Irradiance [W/m2] of three planes at the same instants, arrays of one shape; NaN in all if one is unknown.
 
     Attributes
@@ -35,9 +42,9 @@ class Received(NamedTuple):
     best_w_m2: Array
 
 
-def received(
+def received_irradiance(
     faces: ArrayLike, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits, albedo: ArrayLike = 0.2
-) -> Received:
+) -> ReceivedIrradiance:
     """Return what the three planes receive, by the faces' readings of the same instants.
 
     Parameters
@@ -58,11 +65,13 @@ def received(
     light = light_from_faces(readings, sun, albedo, usable)
     actual = irradiance_on(light, sun, albedo, normal_from_angles(a_deg, b_deg))
     chronometric = irradiance_on(light, sun, albedo, normal_from_angles(*angles_within(sun, limits)))
-    aimed = normal_from_angles(*angles_within(aim_vector(within_reach(light, sun, limits), sun, albedo), limits))
+    aimed = normal_from_angles(
+        *angles_within(aim_vector(without_unreachable_beam(light, sun, limits), sun, albedo), limits)
+    )
     # The closed form finds the best pose in the sun's vertical plane; at the limits another may be a little better.
     best = np.maximum(irradiance_on(light, sun, albedo, aimed), np.fmax(actual, chronometric))
     known = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0) & np.isfinite(actual)
-    return Received(*(np.where(known, part, np.nan) for part in (actual, chronometric, best)))
+    return ReceivedIrradiance(*(np.where(known, part, np.nan) for part in (actual, chronometric, best)))
 
 
 def insolation(utc_s: ArrayLike, irradiance_w_m2: ArrayLike, longest_s: float = 60.0) -> tuple[float, float]:

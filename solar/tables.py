@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for pandas.
     import pandas as pd
 
-NO_READING = frozenset({"", "nan", "na", "n/a", "null"})
+MISSING_VALUES = frozenset({"", "nan", "na", "n/a", "null"})
 """How tables write a value that is missing, in small letters."""
 # No text file contains this: a cell that ends with it was not closed before the end of the file.
 _END_MARK = "\0end\0"
@@ -43,7 +43,7 @@ def separator_of(header: str) -> str:
     return next((found for found in ";\t" if found in header and "," not in header), ",")
 
 
-def opened(path: Path) -> TextIO:
+def open_table(path: Path) -> TextIO:
     """Open a CSV file, plain or ``.gz``, for `csv`; raises `OSError`."""
     if path.suffix.lower() == ".gz":
         return cast("TextIO", gzip.open(path, "rt", encoding="utf-8-sig", newline=""))
@@ -96,7 +96,7 @@ def broken_line(path: Path, separator: str) -> BrokenLine | None:
     if not path.is_file() or not _last_line(path).strip(f"{separator} \t".encode()):
         return None
     try:
-        with opened(path) as file:
+        with open_table(path) as file:
             rows = numbered_rows(file, separator)
             due = len(next(rows, (1, []))[1])
             number, cells, decimals = 0, due, []
@@ -132,7 +132,7 @@ def _last_line(path: Path) -> bytes:
 
 
 @contextmanager
-def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[tuple[Path, BrokenLine | None]]:
+def without_broken_line(path: Path, separator: str | None, apart: int = 1) -> Iterator[tuple[Path, BrokenLine | None]]:
     """Yield the path of a table, unpacked and without a last line that breaks off, and that line or None.
 
     The last line breaks off if it has no line end, and has fewer cells than the line `apart` lines before it or too few
@@ -159,7 +159,7 @@ def whole_lines(path: Path, separator: str | None, apart: int = 1) -> Iterator[t
         yield whole, broken
 
 
-def why_unread(error: Exception) -> str:
+def read_error_text(error: Exception) -> str:
     """Return in words why a file could not be read, for a damaged ``.gz`` with a remedy."""
     if isinstance(error, EOFError | zlib.error | gzip.BadGzipFile):
         return "it is cut off or damaged; copy it anew, or unpack what is left: zcat FILE > NEW.csv"
@@ -171,7 +171,7 @@ def unreadable(path: Path, separator: str, error: Exception) -> str:
 
     It names the line of a cell too many or of a cell that is never closed; pandas gives its parser's words only.
     """
-    with opened(path) as file:
+    with open_table(path) as file:
         rows = numbered_rows(file, separator)
         try:
             width = len(next(rows)[1])

@@ -12,10 +12,10 @@ from hypothesis import settings
 
 from tests.firmware.peer import missing
 from tests.support import SHARED
-from tests.support.addresses import free_port, take_block
-from tests.support.bad_network import without_namespaces
-from tests.support.broker import LEFT_OUT, MOSQUITTO
-from tests.support.dealing import dealt, long_first, names_any
+from tests.support.addresses import free_port, reserve_port_block
+from tests.support.bad_network import why_no_namespaces
+from tests.support.broker import MOSQUITTO, UNTESTED_WITH_AMQTT
+from tests.support.dealing import contains_any_word, distribute_tests, long_first
 from tests.support.postgres import BINARIES, WITHOUT_POSTGRES
 from tests.support.rotctld import LEFT_OUT as WITHOUT_ROTCTLD
 from tests.support.rotctld import ROTCTLD
@@ -46,7 +46,7 @@ pytest_plugins = (
 
 _TIER_OF_FIXTURE = {
     "run_rig": "rig",
-    "scaled": "broker",
+    "run_scaled": "broker",
     "broker": "broker",
     "make_broker": "broker",
     "postgres": "system",
@@ -70,7 +70,7 @@ _WAITS = [
 
 
 def pytest_configure():
-    take_block()
+    reserve_port_block()
 
 
 def pytest_addoption(parser):
@@ -91,7 +91,7 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def _may_wait(file):
-    return any(_TIER_OF_FOLDER.get(part) in _LIVE for part in file.parts) or names_any(file, _WAITS)
+    return any(_TIER_OF_FOLDER.get(part) in _LIVE for part in file.parts) or contains_any_word(file, _WAITS)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -127,7 +127,7 @@ def pytest_collection_modifyitems(config, items):
     yield
     workers = getattr(config, "workerinput", {}).get("workercount", 1)
     if config.getoption("--live") == "only" and workers > 1:
-        items[:] = dealt(items, workers)
+        items[:] = distribute_tests(items, workers)
     elif workers > 1:
         items[:] = long_first(items)
 
@@ -156,12 +156,14 @@ def _is_asked_for(config, item):
 def pytest_report_header():
     """Say once, in a line each, what cannot be tested here."""
     broker = (
-        None if MOSQUITTO else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {LEFT_OUT}"
+        None
+        if MOSQUITTO
+        else f"mosquitto is not here: the tests of MQTT run against amqtt and leave out {UNTESTED_WITH_AMQTT}"
     )
     mbpoll = None if shutil.which("mbpoll") else "mbpoll is not here: its tests of Modbus are left out"
     archive = None if BINARIES else WITHOUT_POSTGRES
     rotator = None if ROTCTLD else WITHOUT_ROTCTLD
-    return [line for line in (broker, mbpoll, missing(), rotator, archive, without_namespaces()) if line]
+    return [line for line in (broker, mbpoll, missing(), rotator, archive, why_no_namespaces()) if line]
 
 
 @pytest.fixture(scope="session")

@@ -10,20 +10,20 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from daemon.api.configuration import KEY, OwnConfiguration, WrongServiceError
-from daemon.api.gate import GIVEN_UP, AllowedHosts, Bodies, Gate, Token
-from daemon.api.history import History, instant
+from daemon.api.configuration import QUERY_KEY, OwnConfiguration, WrongServiceError
+from daemon.api.gate import CLIENT_GONE_KEY, AllowedHosts, Bodies, Gate, Token
+from daemon.api.history import History, parse_query_time
 from daemon.api.metrics import Metrics
 from daemon.api.openapi import description
-from daemon.api.pages import Feed, KeptPage, ScanLog, event_of, to_json
+from daemon.api.pages import CachedPage, Feed, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
 from daemon.api.sun import sun_json
-from daemon.api.turns import ReadTurns
+from daemon.api.turns import ReadThrottle
 from daemon.base.clock import END_UTC_S, FIRST_UTC_S, Clock
-from daemon.base.places import EventStream, Places
+from daemon.base.places import ClientSlots, EventStream
 from daemon.service.operator import CommandError
-from daemon.service.operator_commands import LONGEST_BODY, NAMES, BodyError, Operators, TooManyError, parse
-from daemon.service.recent import Recent
+from daemon.service.operator_commands import COMMAND_NAMES, LONGEST_BODY, BodyError, Operators, TooManyError, parse
+from daemon.service.recent import RecentRecords
 from daemon.service.snapshot import Snapshot, TrackerState
 from daemon.service.state import state_json
 
@@ -60,7 +60,7 @@ class Api:
     def __init__(
         self,
         see: Callable[[], Snapshot],
-        recent: Recent,
+        recent: RecentRecords,
         operators: Operators,
         token: str,
         clock: Clock,
@@ -77,13 +77,13 @@ class Api:
         self._scan_log, self._feed = ScanLog(), Feed()
         recent.follow(self._scan_log.note)
         recent.follow(self._feed.note)
-        self._state_page = KeptPage(see, lambda seen: to_json(state_json(seen)), clock.monotonic, speed)
-        self._metrics_page = KeptPage(
+        self._state_page = CachedPage(see, lambda seen: to_json(state_json(seen)), clock.monotonic, speed)
+        self._metrics_page = CachedPage(
             lambda: Metrics(glance(), dict(self.refusals.counts)), Metrics.text, clock.monotonic, speed
         )
-        self._places = Places(_MOST_LISTENERS)
+        self._places = ClientSlots(_MOST_LISTENERS)
         self._closing = asyncio.Event()
-        self._turns = ReadTurns(clock.monotonic, speed)
+        self._turns = ReadThrottle(clock.monotonic, speed)
         self._bodies = Bodies(speed)
         history = History(glance)
         routes = Starlette(
@@ -98,7 +98,7 @@ class Api:
                 Route("/api/openapi.json", self._description),
                 Route("/healthz", self._health),
                 Route("/metrics", self._metrics_text),
-                *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in NAMES],
+                *[Route(f"/api/{name}", self._command(name), methods=["POST"]) for name in COMMAND_NAMES],
             ],
             exception_handlers={
                 HTTPException: _answer_http_error,
@@ -119,7 +119,7 @@ class Api:
         self._turns.close()
 
     async def _state(self, request: Request) -> Response:
-        self._own.require(request.query_params.getlist(KEY))
+        self._own.require(request.query_params.getlist(QUERY_KEY))
         return Response(await self._state_page.get(), media_type="application/json")
 
     async def _scans(self, request: Request) -> Response:
@@ -129,7 +129,7 @@ class Api:
     async def _sun(self, request: Request) -> Response:
         seen = self._glance()
         given = request.query_params.get("at")
-        at_s = seen.time_utc_s if given is None else instant("at", given)
+        at_s = seen.time_utc_s if given is None else parse_query_time("at", given)
         if given is not None and not FIRST_UTC_S <= at_s < END_UTC_S:
             raise HTTPException(422, f"at={ascii(given)[:40]} is not a time from 1970 to 2199")
         return JSONResponse(await asyncio.to_thread(sun_json, seen.site.place(), at_s))
@@ -178,7 +178,7 @@ class Api:
 
     async def _health(self, request: Request) -> Response:
         """Answer whether the work goes on; a device that is down is named, but is no reason for a restart."""
-        self._own.require(request.query_params.getlist(KEY))
+        self._own.require(request.query_params.getlist(QUERY_KEY))
         seen = self._glance()
         troubles, longest_s = [], _STUCK_AFTER_S * max(self._speed, 1.0)
         parts = (("cube", seen.cube_trouble), ("bridge", seen.bridge_down_why))
@@ -212,21 +212,21 @@ class Api:
                 raise HTTPException(413, f"the body is longer than {LONGEST_BODY} bytes")
             if name != "stop" and await _is_given_up(request):
                 raise HTTPException(400, "the connection was cut off before the order was read")
-            meant = request.query_params.getlist(KEY)
+            meant = request.query_params.getlist(QUERY_KEY)
             if name != "stop":
                 self._own.require(meant, "nothing is done: ")
             try:
-                command = parse(name, content or b"", "HTTP").meant_for(request.query_params.getlist("tracker"))
+                command = parse(name, content or b"", "HTTP").with_tracker(request.query_params.getlist("tracker"))
                 answer = await self._operators.carry_out(command)
                 # A stop is carried out by the wrong service too; its sender is told only after that.
-                self._own.require_stopped(meant, answer["text"])
+                self._own.check_stop_was_meant(meant, answer["text"])
                 return JSONResponse(answer)
             except BodyError as error:
                 raise HTTPException(400, str(error)) from None
             except TooManyError as error:
                 raise HTTPException(429, str(error), {"Retry-After": "1"}) from None
             except CommandError as error:
-                self._own.require_stopped(meant, str(error))
+                self._own.check_stop_was_meant(meant, str(error))
                 raise HTTPException(422 if error.wrong else 409, str(error)) from None
             finally:
                 self._state_page.forget()
@@ -240,7 +240,7 @@ async def _is_given_up(request: Request) -> bool:
     for _ in range(2):
         # The next turn of the loop reads the end of the connection, and the turn after it reports that.
         await asyncio.sleep(0)
-    return GIVEN_UP in request.scope.get("extensions", {})
+    return CLIENT_GONE_KEY in request.scope.get("extensions", {})
 
 
 def _tracker_suffix(tracker: str, seen: Snapshot) -> str:
@@ -255,7 +255,7 @@ def _devices_down(tracker: TrackerState) -> Iterator[tuple[str, str]]:
 
 
 def _since(text: str | None) -> float:
-    return -math.inf if text is None else instant("since", text)
+    return -math.inf if text is None else parse_query_time("since", text)
 
 
 async def _answer_http_error(request: Request, error: Exception) -> Response:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from daemon.api.configuration import KEY, paths_of
+from daemon.api.configuration import QUERY_KEY, paths_of
 from daemon.api.token import check_token, load_token
-from daemon.base.addresses import DEFAULT_LISTEN, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
+from daemon.base.addresses import DEFAULT_LISTEN, DROP_UNSENT_ON_CLOSE, Address, parse_address
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
 from daemon.base.files import parse_toml, toml_text
 
@@ -183,7 +183,7 @@ class Client:
 
         By hand, because the standard library's client takes longer to load than a stop may take.
         """
-        query = "&".join(f"{KEY}={quote(each)}" for each in self.configuration)
+        query = "&".join(f"{QUERY_KEY}={quote(each)}" for each in self.configuration)
         lines = [f"{method} {path}{query and '?'}{query} HTTP/1.1", f"Host: {self.address}", "Connection: close"]
         if self.token is not None:
             lines.append(f"Authorization: Bearer {self.token}")
@@ -191,7 +191,7 @@ class Client:
         with self._connect() as connection:
             if path != "/api/stop":
                 # An order that was given up must not be carried out minutes later.
-                connection.setsockopt(*SEND_NO_MORE_ONCE_CLOSED)
+                connection.setsockopt(*DROP_UNSENT_ON_CLOSE)
             connection.sendall("\r\n".join([*lines, "", ""]).encode("latin-1") + body)
             reply = bytearray()
             while len(reply) < _LONGEST_REPLY and (part := connection.recv(65536)):
@@ -233,7 +233,7 @@ def _readable(text: str) -> str:
         return text
 
 
-def find(
+def find_service(
     config: Path | None, api: str | None, token_file: Path | None, environment: Mapping[str, str] = os.environ
 ) -> Client:
     """Return the way to a service.
@@ -260,8 +260,8 @@ def find(
     return Client(address, None if chosen is None else load_token(chosen), meant)
 
 
-def find_unarmed(config: Path | None, api: str | None, environment: Mapping[str, str] = os.environ) -> Client:
-    """Return the way to a service for looking only: no token is read. Arguments and errors are those of `find`."""
+def find_without_token(config: Path | None, api: str | None, environment: Mapping[str, str] = os.environ) -> Client:
+    """Return the way to a service for looking only, without a token. Arguments and errors: see `find_service`."""
     address, _, meant = _place(config, api, environment)
     return Client(address, None, meant)
 
@@ -273,7 +273,7 @@ def _place(
         config = Path(environment[CONFIG_VARIABLE])
     listen, token_file, meant = (DEFAULT_LISTEN, None, ()) if config is None else _read_api(config)
     try:
-        return parse_address(api or listen).reachable, token_file, () if api else meant
+        return parse_address(api or listen).reachable_address, token_file, () if api else meant
     except ValueError as error:
         raise UserError(f"{'--api' if api else 'api.listen'}: {error}") from None
 

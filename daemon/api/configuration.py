@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-KEY = "configuration"
+QUERY_KEY = "configuration"
 """Key of a query that names the configuration whose service is meant, by one path or several."""
 
 _LONGEST_PATH = 200
@@ -48,7 +48,7 @@ class OwnConfiguration:
                 " its service again, or name the service that answers by its own file or by --api"
             )
 
-    def require_stopped(self, meant: Sequence[str], outcome: str) -> None:
+    def check_stop_was_meant(self, meant: Sequence[str], outcome: str) -> None:
         """Raise `WrongServiceError` with what a stop has done here, unless the configuration that is meant is this."""
         other = self._foreign_configuration(meant)
         if other is not None:

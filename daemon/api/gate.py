@@ -11,12 +11,12 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from daemon.api.refusals import ApiRefusals
-from daemon.api.turns import CrowdedError, ReadTurns
+from daemon.api.turns import CrowdedError, ReadThrottle
 
 # A body that is too long is read and thrown away, so that its sender gets to see the answer, but only up to this.
 _LONGEST_READ = 16 << 20
 _PAUSE_S = 0.002
-GIVEN_UP = "heliocube.given-up"
+CLIENT_GONE_KEY = "heliocube.given-up"
 """This key is among the extensions of a request if its sender has cut the connection off."""
 _BEARER = {"WWW-Authenticate": "Bearer"}
 
@@ -38,11 +38,11 @@ class Token:
         scheme, _, given = headers.get("authorization", "").partition(" ")
         if scheme.lower() != "bearer" or not given:
             return "a command needs the header 'Authorization: Bearer TOKEN'"
-        if not self.is_given(given.encode("latin-1", "replace")):
+        if not self.matches(given.encode("latin-1", "replace")):
             return "the token is not the service's: restart the service after a change of api.token_file"
         return None
 
-    def is_given(self, given: bytes) -> bool:
+    def matches(self, given: bytes) -> bool:
         """Return whether these bytes are the token, with blanks around it or not."""
         return secrets.compare_digest(given.strip(), self._token)
 
@@ -138,7 +138,7 @@ class Gate:
         routes: ASGIApp,
         token: Token,
         hosts: AllowedHosts,
-        turns: ReadTurns,
+        turns: ReadThrottle,
         bodies: Bodies,
         refusals: ApiRefusals,
     ) -> None:

@@ -36,7 +36,7 @@ class History:
     async def kind(self, request: Request) -> Response:
         """Answer with one kind of records of a span."""
         kind, query = request.path_params["kind"], request.query_params
-        start_s, end_s = instant("from", query.get("from", "")), instant("to", query.get("to", ""))
+        start_s, end_s = parse_query_time("from", query.get("from", "")), parse_query_time("to", query.get("to", ""))
         if not is_span(start_s, end_s):
             raise HTTPException(422, "from must be before to, and at most 7 days before it")
         names = [tracker.name for tracker in self._see().trackers]
@@ -63,7 +63,7 @@ class History:
                 raise HTTPException(409, str(error)) from None
 
 
-def instant(name: str, text: str) -> float:
+def parse_query_time(name: str, text: str) -> float:
     """Return the UTC [s] of a time in a query; refuses anything else."""
     try:
         found = datetime.fromisoformat(text)

@@ -10,7 +10,7 @@ from prometheus_client.registry import Collector
 
 from daemon.base.alarms.alarm import Alarm
 from daemon.base.records import FACES, CurveQuality, Mode, MoveOutcome, Quality
-from daemon.service.health import LATE_UP_TO_S, LoopState
+from daemon.service.health import LATENESS_BOUNDS_S, LoopState
 from daemon.service.snapshot import LoadState, PositionerState, Snapshot, TrackerState
 from daemon.service.status import LinkStatus
 from daemon.tracker.stow import StowStatus
@@ -109,7 +109,7 @@ class _Families:
 
 
 def _lateness(loop: LoopState) -> HistogramMetricFamily:
-    bounds = [*(f"{bound_s:g}" for bound_s in LATE_UP_TO_S), "+Inf"]
+    bounds = [*(f"{bound_s:g}" for bound_s in LATENESS_BOUNDS_S), "+Inf"]
     buckets = list(zip(bounds, map(float, loop.counts), strict=True))
     about = "How late the event loop ran what was due."
     return HistogramMetricFamily("heliocube_loop_late_seconds", about, buckets, loop.sum_s)

@@ -10,7 +10,7 @@ from daemon.store.tables import COLUMNS, Column
 UtcText = Annotated[
     str, Field(pattern=r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:\d{2}\.\d{3}Z$", description="A time in UTC, ISO 8601.")
 ]
-Whole = Annotated[int, Field(ge=0)]
+NonNegativeInt = Annotated[int, Field(ge=0)]
 
 
 class Page(BaseModel):
@@ -142,7 +142,7 @@ class NewestScanPart(Page):
 
     source: str
     session: str
-    sequence: Whole
+    sequence: NonNegativeInt
     time: UtcText
     age_s: float | None
     stale: bool
@@ -163,9 +163,9 @@ class SitePart(Page):
 class BridgePart(Page):
     """Counts of the bridge's receiver, and why it hears nothing."""
 
-    accepted: Whole
-    lost: Whole
-    refused: Whole
+    accepted: NonNegativeInt
+    lost: NonNegativeInt
+    refused: NonNegativeInt
     down_why: str | None
 
 
@@ -173,9 +173,9 @@ class StorePart(Page):
     """How the store is."""
 
     path: str
-    written: Whole
-    waiting: Whole
-    lost: Whole
+    written: NonNegativeInt
+    waiting: NonNegativeInt
+    lost: NonNegativeInt
     down_why: str | None
 
 
@@ -223,11 +223,11 @@ class ShadowPart(Page):
         description="How much more than the tracker, as a share; null until both have counted the same time."
     )
     travelled_deg: float = Field(ge=0)
-    moves: Whole
+    moves: NonNegativeInt
     active_travelled_deg: float = Field(
         description="Travel by the laws that point the tracker, over the same time.", ge=0
     )
-    active_moves: Whole
+    active_moves: NonNegativeInt
 
 
 class TrackerPart(Page):
@@ -272,7 +272,7 @@ class StatePage(TrackerPart):
     scan: NewestScanPart | None
     calibration: dict[str, Any] | None
     cube_down_why: str | None
-    unacknowledged: Whole = Field(description="How many of the alarms nobody has acknowledged.")
+    unacknowledged: NonNegativeInt = Field(description="How many of the alarms nobody has acknowledged.")
     alarms: list[AlarmPart]
     bridge: BridgePart | None
     store: StorePart | None

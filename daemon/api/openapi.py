@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from daemon.api.configuration import KEY
+from daemon.api.configuration import QUERY_KEY
 from daemon.api.models import (
     AuthorisedPage,
     CommandPage,
@@ -24,8 +24,8 @@ from daemon.api.models import (
     StatePage,
     SunPage,
 )
-from daemon.service.command_bodies import AcknowledgeBody, AutoBody, CommandBody, GotoBody, ModeBody, body_of
-from daemon.service.operator_commands import LONGEST_BODY, NAMES
+from daemon.service.command_bodies import AcknowledgeBody, AutoBody, CommandBody, GotoBody, ModeBody, body_model
+from daemon.service.operator_commands import COMMAND_NAMES, LONGEST_BODY
 from daemon.store.history import KINDS_OF_LINES, KINDS_OF_NUMBERS
 
 _REF = "#/components/schemas/{model}"
@@ -87,7 +87,7 @@ _TRACKER = {
     "schema": {"type": "string"},
 }
 _CONFIGURATION = {
-    "name": KEY,
+    "name": QUERY_KEY,
     "in": "query",
     "required": False,
     "description": "Path of the configuration whose service is meant, and other paths of the same file; a service with"
@@ -117,7 +117,7 @@ def description() -> dict[str, Any]:
             "/api/authorised": _authorised(),
             "/healthz": _health(),
             "/metrics": _text("Metrics for Prometheus", "text/plain"),
-            **{f"/api/{name}": _command(name) for name in NAMES},
+            **{f"/api/{name}": _command(name) for name in COMMAND_NAMES},
         },
         "components": {
             "schemas": _schemas(),
@@ -201,7 +201,7 @@ def _health() -> dict[str, Any]:
 
 
 def _command(name: str) -> dict[str, Any]:
-    body = {"content": _json_content(body_of(name)), "required": body_of(name) in (GotoBody, ModeBody)}
+    body = {"content": _json_content(body_model(name)), "required": body_model(name) in (GotoBody, ModeBody)}
     answers = {"200": {"description": "carried out", "content": _json_content(CommandPage)}} | _refusals(*_REFUSALS)
     if name == "stop":
         # A stop is obeyed whatever its body is.

@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any, Generic, TypeVar
 
-from daemon.api.history import instant
+from daemon.api.history import parse_query_time
 from daemon.base.clock import iso_utc
 from daemon.base.records import Record, Scan
-from daemon.service.state import kind_of, number, record_json
+from daemon.service.state import finite_or_none, kind_of, record_json
 
 _KEPT_S = 0.1
 # A day of scans at the usual pace.
@@ -22,7 +22,7 @@ _PER_LISTENER = 500
 Taken = TypeVar("Taken")
 
 
-class KeptPage(Generic[Taken]):
+class CachedPage(Generic[Taken]):
     """A page that is made at most ten times a second, however many ask for it.
 
     Parameters
@@ -71,7 +71,7 @@ class ScanLog:
         """Take in one record."""
         if isinstance(record, Scan):
             # Cut to the millisecond, as a client has it that asks for the scans after this one.
-            shown_utc_s = instant("time", iso_utc(record.time_utc_s))
+            shown_utc_s = parse_query_time("time", iso_utc(record.time_utc_s))
             self._scans.append((shown_utc_s, to_json(record_json(record))))
 
     def page(self, since_utc_s: float) -> bytes:
@@ -130,4 +130,4 @@ def event_of(kind: str, content: bytes) -> bytes:
 
 def to_json(found: dict[str, Any]) -> bytes:
     """Return a page as JSON; what is not a number is null."""
-    return json.dumps(found, default=number, separators=(",", ":")).encode()
+    return json.dumps(found, default=finite_or_none, separators=(",", ":")).encode()

@@ -41,9 +41,9 @@ class ApiRefusals:
         if line:
             log.log(logging.WARNING if error is None else logging.ERROR, "%s", line, exc_info=error)
 
-    def settle(self) -> None:
+    def log_ended_floods(self) -> None:
         """Log how many refusals a flood had, once it is over; to be called now and then."""
         for budget in self._budgets.values():
-            line = budget.settle(self._clock_s())
+            line = budget.poll_flood_summary(self._clock_s())
             if line:
                 log.warning("%s", line)

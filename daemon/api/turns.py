@@ -18,7 +18,7 @@ class CrowdedError(Exception):
     """So many wait for a turn already that another would wait for too long."""
 
 
-class ReadTurns:
+class ReadThrottle:
     """Gives one turn after the other, at a pace that depends on what each has cost.
 
     After a rest some fifty cheap pages are served at once; then a quarter of the loop's time is spent on pages, and

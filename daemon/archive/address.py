@@ -37,7 +37,7 @@ class ArchiveError(UserError):
     """The archive cannot be used as it was asked to be; the message is one sentence."""
 
 
-class ArchiveAwayError(ArchiveError):
+class ArchiveUnreachableError(ArchiveError):
     """The database does not answer, now; it may later."""
 
     exit_code = ExitCode.UNREACHABLE
@@ -125,14 +125,14 @@ def load_password(path: Path) -> str:
     return password
 
 
-def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection":
+def connect_to_archive(address: ArchiveAddress, application: str) -> "psycopg.Connection":
     """Return a connection.
 
     Raises
     ------
     ArchiveError
         The database is not there, does not let this user in, or cannot hold every text; psycopg is not installed.
-    ArchiveAwayError
+    ArchiveUnreachableError
         Nothing answers there.
     """
     try:
@@ -167,7 +167,7 @@ def connected(address: ArchiveAddress, application: str) -> "psycopg.Connection"
 
 
 @contextmanager
-def telling(address: ArchiveAddress) -> Iterator[None]:
+def translate_database_errors(address: ArchiveAddress) -> Iterator[None]:
     """Turn what the database raises into a sentence."""
     import psycopg  # noqa: PLC0415 - it is in an extra
 
@@ -189,7 +189,7 @@ def telling(address: ArchiveAddress) -> Iterator[None]:
         if _is_about_records(error):
             raise _records_refused(error) from None
         does = "does not answer" if error.sqlstate is None else "refuses"
-        raise ArchiveAwayError(f"the database {address.url} {does}: {one_line(error)}") from None
+        raise ArchiveUnreachableError(f"the database {address.url} {does}: {one_line(error)}") from None
     except (psycopg.DataError, psycopg.IntegrityError, UnicodeError) as error:
         raise _records_refused(error) from None
     except psycopg.Error as error:
@@ -224,7 +224,7 @@ def _reason(address: ArchiveAddress, error: "psycopg.OperationalError") -> Archi
         if part in text:
             return ArchiveError(f"the database {address.url} refuses: {text}: {remedy}")
     does = "refuses" if _SERVER_MESSAGE.match(str(error)) else "does not answer"
-    return ArchiveAwayError(f"the database {address.url} {does}: {text}")
+    return ArchiveUnreachableError(f"the database {address.url} {does}: {text}")
 
 
 def one_line(error: Exception) -> str:

@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from daemon.archive.address import ArchiveAddress, PagesRefusedError, RecordsRefusedError
-from daemon.archive.writer import ArchiveWriter, Refused, SentPage
+from daemon.archive.writer import ArchiveWriter, RefusedRecord, SentPage
 from daemon.store.batches import Batch
 
 
-class Sieve:
+class RefusedRecordFinder:
     """Hands out a refused page in ever smaller parts, until only single records are refused.
 
-    Iterate over the parts and try to write each; `refuse` those that fail. No part moves the end of its run.
+    Iterate over the parts and try to write each; `note_refusal` those that fail. No part moves the end of its run.
 
     Attributes
     ----------
@@ -25,14 +25,14 @@ class Sieve:
 
     def __init__(self, page: SentPage) -> None:
         self._parts_left = _halves(page) or [page]
-        self.refused: list[Refused] = []
+        self.refused: list[RefusedRecord] = []
 
     def __iter__(self) -> Iterator[SentPage]:
         """Yield parts until all are tried."""
         while self._parts_left:
             yield self._parts_left.pop()
 
-    def refuse(self, part: SentPage, error: PagesRefusedError) -> None:
+    def note_refusal(self, part: SentPage, error: PagesRefusedError) -> None:
         """Take note that a part was refused; raises the error if it is not about the only record of the part."""
         halves = _halves(part)
         if not halves and not isinstance(error, RecordsRefusedError):
@@ -40,7 +40,7 @@ class Sieve:
         self._parts_left += halves
         if not halves:
             ((kind, (row,)),) = part.batch.rows.items()
-            self.refused.append(Refused(kind, row, str(error)))
+            self.refused.append(RefusedRecord(kind, row, str(error)))
 
 
 def _halves(page: SentPage) -> list[SentPage]:
@@ -61,28 +61,28 @@ def _by_kind(records: Sequence[tuple[str, tuple[Any, ...]]]) -> dict[str, list[t
     return rows
 
 
-def take_what_can_be(writer: ArchiveWriter, page: SentPage) -> tuple[int, list[Refused]]:
+def write_accepted_records(writer: ArchiveWriter, page: SentPage) -> tuple[int, list[RefusedRecord]]:
     """Write a page without the records that the database does not take; return how many are new, and the refused ones.
 
     Raises
     ------
     ArchiveError
-        As `ArchiveWriter.take`, except for records that are set aside.
+        As `ArchiveWriter.write`, except for records that are set aside.
     """
     try:
-        return writer.take([page]).added, []
+        return writer.write([page]).added, []
     except PagesRefusedError:
-        sieve, added = Sieve(page), 0
+        sieve, added = RefusedRecordFinder(page), 0
     for part in sieve:
         try:
-            added += writer.take([part]).added
+            added += writer.write([part]).added
         except PagesRefusedError as error:
-            sieve.refuse(part, error)
+            sieve.note_refusal(part, error)
     writer.set_aside(page, sieve.refused)
     return added, sieve.refused
 
 
-class Retried(NamedTuple):
+class RetryResult(NamedTuple):
     """How many records were set aside, how many of them the database takes now, and why it does not take the others."""
 
     aside: int
@@ -90,7 +90,7 @@ class Retried(NamedTuple):
     still: dict[str, int]
 
 
-def retry(address: ArchiveAddress, progress: Callable[[int], None] = lambda _count: None) -> Retried:
+def retry(address: ArchiveAddress, progress: Callable[[int], None] = lambda _count: None) -> RetryResult:
     """Write the records that were set aside, and remove each from there that the database has now.
 
     Parameters
@@ -110,7 +110,7 @@ def retry(address: ArchiveAddress, progress: Callable[[int], None] = lambda _cou
         writer.prepare()
         aside, still = 0, dict[str, int]()
         for page in writer.pages_aside():
-            _, refused = take_what_can_be(writer, page)
+            _, refused = write_accepted_records(writer, page)
             for each in refused:
                 still[each.why] = still.get(each.why, 0) + 1
             writer.forget_aside(page, refused)
@@ -118,4 +118,4 @@ def retry(address: ArchiveAddress, progress: Callable[[int], None] = lambda _cou
             progress(aside)
     finally:
         writer.close()
-    return Retried(aside, aside - sum(still.values()), still)
+    return RetryResult(aside, aside - sum(still.values()), still)

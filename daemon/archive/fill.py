@@ -8,17 +8,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daemon.archive.address import ArchiveAddress, PagesRefusedError
-from daemon.archive.aside import take_what_can_be
+from daemon.archive.aside import write_accepted_records
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
-from daemon.store.batches import Batch, BatchError, decoded, encoded, identified, is_sound, next_batch
+from daemon.store.batches import Batch, BatchError, decoded, encoded, is_sound, next_batch, with_identifier
 from daemon.store.runs import StoredRun, runs_of
-from daemon.store.schema import FILE_NAME, open_for_reading, unreadable
+from daemon.store.schema import FILE_NAME, open_for_reading, unreadable_store_error
 
 _PAGES_AT_ONCE = 20
 
 
-class ArchiveFilled(NamedTuple):
+class FillResult(NamedTuple):
     """What became of a store's records.
 
     Attributes
@@ -42,7 +42,7 @@ class ArchiveFilled(NamedTuple):
 
 def fill(
     store: Path, address: ArchiveAddress, installation: str, progress: Callable[[int], None] = lambda _count: None
-) -> ArchiveFilled:
+) -> FillResult:
     """Write every record of a store that the archive does not have.
 
     Parameters
@@ -62,7 +62,7 @@ def fill(
     path = store / FILE_NAME if store.is_dir() else store
     writer = None
     read = added = aside = damaged = 0
-    runs = [StoredRun(run, identified(run, origin)) for run, origin in runs_of(path)]
+    runs = [StoredRun(run, with_identifier(run, origin)) for run, origin in runs_of(path)]
     unsound = tuple(run for run, origin in runs if not is_sound(origin))
     try:
         part: list[SentPage] = []
@@ -83,15 +83,15 @@ def fill(
     finally:
         if writer is not None:
             writer.close()
-    return ArchiveFilled(read=read, added=added, aside=aside, damaged=damaged, unsound=unsound)
+    return FillResult(read=read, added=added, aside=aside, damaged=damaged, unsound=unsound)
 
 
 def _take(writer: ArchiveWriter, pages: list[SentPage]) -> tuple[int, int]:
     """Write pages; return how many records are new, and how many are set aside."""
     try:
-        return writer.take(pages).added, 0
+        return writer.write(pages).added, 0
     except PagesRefusedError:
-        sifted = [take_what_can_be(writer, page) for page in pages]
+        sifted = [write_accepted_records(writer, page) for page in pages]
         return sum(added for added, _ in sifted), sum(len(refused) for _, refused in sifted)
 
 
@@ -105,7 +105,7 @@ def _batches(path: Path, runs: list[StoredRun]) -> Iterator[Batch]:
                     yield replace(decoded(encoded(batch)), damaged=batch.damaged)
                     after = batch.through
             except sqlite3.Error as error:
-                raise unreadable(path, error) from None
+                raise unreadable_store_error(path, error) from None
             except BatchError as error:
                 place = f"the store {path} has a record after number {after} of run {run} that no archive takes"
                 raise UserError(f"{place}: {error}") from None

@@ -11,16 +11,16 @@ from functools import partial
 from random import Random
 from typing import Any, TypeVar
 
-from daemon.archive.address import ArchiveAddress, ArchiveAwayError, ArchiveError, PagesRefusedError
-from daemon.archive.aside import Sieve
-from daemon.archive.writer import ArchiveWriter, SentPage, Taken
+from daemon.archive.address import ArchiveAddress, ArchiveError, ArchiveUnreachableError, PagesRefusedError
+from daemon.archive.aside import RefusedRecordFinder
+from daemon.archive.writer import ArchiveWriter, SentPage, WriteResult
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier, on_signals
+from daemon.base.process import SystemdNotifier, on_signals
 from daemon.base.reconnect import Backoff, Outage
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.config.links import ArchiveSettings, MqttSettings
-from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, at_once
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, run_until_first_ends
 from daemon.mqtt.outbox import Message
 from daemon.store.batches import BatchError, decoded
 
@@ -40,7 +40,7 @@ _MOST_NAMES = 10_000
 
 
 async def serve(
-    mqtt: MqttSettings, settings: ArchiveSettings, address: ArchiveAddress, clock: Clock, manager: Notifier
+    mqtt: MqttSettings, settings: ArchiveSettings, address: ArchiveAddress, clock: Clock, manager: SystemdNotifier
 ) -> None:
     """Take in records until SIGINT, SIGTERM or SIGHUP.
 
@@ -85,7 +85,7 @@ class Ingester:
         settings: ArchiveSettings,
         address: ArchiveAddress,
         clock: Clock,
-        manager: Notifier,
+        manager: SystemdNotifier,
     ) -> None:
         self._mqtt = mqtt
         self._filters = [f"$share/{settings.group}/{topic}" for topic in settings.topics]
@@ -106,7 +106,7 @@ class Ingester:
             try:
                 await self._with_database()
             except ArchiveError as error:
-                if not self._began and not isinstance(error, ArchiveAwayError):
+                if not self._began and not isinstance(error, ArchiveUnreachableError):
                     raise
                 self._database_outage.down(self._clock.monotonic(), str(error))
                 # Without this report systemd would end and restart the process again and again while the database is
@@ -147,7 +147,7 @@ class Ingester:
     async def _receive_and_write(self, connection: Connection, writer: ArchiveWriter) -> None:
         """Hear and write at the same time; the first of the two that ends raises why."""
         heard: asyncio.Queue[Incoming] = asyncio.Queue(_MOST_PAGES)
-        await at_once(self._receive_messages(connection, heard), self._write(connection, writer, heard))
+        await run_until_first_ends(self._receive_messages(connection, heard), self._write(connection, writer, heard))
 
     async def _receive_messages(self, connection: Connection, heard: "asyncio.Queue[Incoming]") -> None:
         async for message in connection.incoming():
@@ -193,7 +193,7 @@ class Ingester:
     async def _write_pages(self, writer: ArchiveWriter, pages: list[SentPage]) -> list[Message]:
         """Write pages and return the answers to their senders; a page that cannot be kept does not stop the others."""
         try:
-            taken = await self._call_with_time_limit(writer, partial(writer.take, pages))
+            taken = await self._call_with_time_limit(writer, partial(writer.write, pages))
         except PagesRefusedError:
             if len(pages) > 1:
                 return [answer for page in pages for answer in await self._write_pages(writer, [page])]
@@ -206,13 +206,13 @@ class Ingester:
 
     async def _write_by_parts(self, writer: ArchiveWriter, page: SentPage) -> Message:
         """Write the records of a page that the database takes, set aside the rest, and return the sender's answer."""
-        (installation, batch, _), sieve = page, Sieve(page)
+        (installation, batch, _), sieve = page, RefusedRecordFinder(page)
         try:
             for part in sieve:
                 try:
-                    self._note(await self._call_with_time_limit(writer, partial(writer.take, [part])))
+                    self._note(await self._call_with_time_limit(writer, partial(writer.write, [part])))
                 except PagesRefusedError as error:
-                    sieve.refuse(part, error)
+                    sieve.note_refusal(part, error)
             await self._call_with_time_limit(writer, partial(writer.set_aside, page, sieve.refused))
         except PagesRefusedError as error:
             self._warn_hourly(installation, f"a page of {installation} is not kept: {error}")
@@ -222,16 +222,16 @@ class Ingester:
         if not sieve.refused:
             return _answer(installation, kept)
         aside = len(sieve.refused)
-        what = f"{counted(aside, 'record is', 'records are')} set aside ({sieve.refused[0].why})"
+        what = f"{pluralise(aside, 'record is', 'records are')} set aside ({sieve.refused[0].why})"
         self._warn_hourly(
             f"aside {installation}", f"of {installation} {what}: put it right, then 'heliocube archive retry'"
         )
         return _answer(installation, {**kept, "set_aside": aside, "why": sieve.refused[0].why})
 
-    def _note(self, taken: Taken) -> None:
+    def _note(self, taken: WriteResult) -> None:
         self.records += taken.added
-        self._manager.status(f"{counted(self.records, 'record')} since the start")
-        for sentence in taken.rivals:
+        self._manager.status(f"{pluralise(self.records, 'record')} since the start")
+        for sentence in taken.name_conflicts:
             self._warn_hourly(sentence, sentence)
 
     def _warn_hourly(self, subject: str, sentence: str) -> None:
@@ -247,11 +247,11 @@ class Ingester:
         """Return the result of a database call; a call that hangs, or that nobody waits for any more, is ended."""
         self._manager.watchdog()
         job = asyncio.ensure_future(asyncio.to_thread(call))
-        timer = asyncio.get_running_loop().call_later(_HUNG_S, writer.give_up)
+        timer = asyncio.get_running_loop().call_later(_HUNG_S, writer.abort_call)
         try:
             return await asyncio.shield(job)
         except asyncio.CancelledError:
-            writer.give_up()
+            writer.abort_call()
             await asyncio.gather(job, return_exceptions=True)
             raise
         finally:

@@ -9,10 +9,10 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from daemon.archive.address import ArchiveAddress, connected, telling
+from daemon.archive.address import ArchiveAddress, connect_to_archive, translate_database_errors
 from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, identity_of, part_name
 from daemon.base.errors import UserError
-from daemon.base.files import sync_names
+from daemon.base.files import sync_directory
 from daemon.store.batches import KINDS
 from daemon.store.outputs import check_folder
 
@@ -57,7 +57,7 @@ def write_days(address: ArchiveAddress, out: Path, today: date, wanted: date | N
         The archive cannot be read, or the folder not written.
     """
     check_folder(out, "--out")
-    with closing(connected(address, "heliocube parquet")) as connection, telling(address):
+    with closing(connect_to_archive(address, "heliocube parquet")) as connection, translate_database_errors(address):
         connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
         check_is_archive(connection, address)
         for kind, day in days_of(connection):
@@ -78,7 +78,7 @@ def drop_days(address: ArchiveAddress, out: Path, before: date) -> Iterator[Arch
     UserError
         The archive cannot be read, or this user may not, or a file not be renamed; its day is not dropped.
     """
-    with closing(connected(address, "heliocube parquet")) as connection, telling(address):
+    with closing(connect_to_archive(address, "heliocube parquet")) as connection, translate_database_errors(address):
         connection.autocommit = True
         check_is_archive(connection, address)
         for kind, day in days_of(connection):
@@ -128,7 +128,7 @@ def _drop_day(connection: "psycopg.Connection", kind: str, day: date, out: Path)
         path.rename(final)
         # A power cut after the drop must not lose a name on the way to the file; its content was synced when written.
         for folder in final.parents[:4]:
-            sync_names(folder)
+            sync_directory(folder)
         try:
             connection.execute(f"DROP TABLE {table}")
         except BaseException:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from daemon.archive.address import ArchiveAddress, ArchiveError, connected, telling
+from daemon.archive.address import ArchiveAddress, ArchiveError, connect_to_archive, translate_database_errors
 from daemon.archive.tables import COLUMNS_OF, SCHEMA, check_is_archive, missing_columns
 from daemon.store.batches import KINDS
 from daemon.store.schema import FILE_NAME, RUN_COLUMNS, open_for_writing
@@ -47,9 +47,9 @@ class ArchiveReader:
 
     def __init__(self, address: ArchiveAddress) -> None:
         self.address = address
-        self._connection = connected(address, "heliocube reader")
+        self._connection = connect_to_archive(address, "heliocube reader")
         try:
-            with telling(address):
+            with translate_database_errors(address):
                 self._connection.execute("SET TRANSACTION ISOLATION LEVEL REPEATABLE READ READ ONLY")
                 check_is_archive(self._connection, address)
                 self.installation = self._choose_installation()
@@ -73,7 +73,7 @@ class ArchiveReader:
         Runs keep the number that they have in the archive.
         """
         count = 0
-        with telling(self.address), closing(open_for_writing(directory / FILE_NAME)) as store:
+        with translate_database_errors(self.address), closing(open_for_writing(directory / FILE_NAME)) as store:
             store.execute("PRAGMA synchronous = OFF")
             store.execute("BEGIN")
             marks = ", ".join("?" * (1 + len(RUN_COLUMNS)))
@@ -139,7 +139,7 @@ def _bound(utc_s: float) -> datetime | str:
 
 
 @contextmanager
-def copied(reader: ArchiveReader, start_utc_s: float, end_utc_s: float) -> Iterator[Path]:
+def temporary_store(reader: ArchiveReader, start_utc_s: float, end_utc_s: float) -> Iterator[Path]:
     """Give a temporary folder with the records of a span as a store; raises `ArchiveError` if there are none."""
     with TemporaryDirectory(prefix="heliocube-archive-") as folder:
         try:

@@ -70,7 +70,7 @@ def columns_sql(name: str) -> list[str]:
     return ["run int4 NOT NULL", "number int8 NOT NULL", *own]
 
 
-def ensure(connection: "psycopg.Connection") -> None:
+def ensure_tables(connection: "psycopg.Connection") -> None:
     """Make the tables if they are not there, and add columns that an older archive lacks.
 
     Raises
@@ -149,7 +149,7 @@ def missing_columns(connection: "psycopg.Connection", name: str) -> list[Column]
     return [column for column in COLUMNS_OF[name] if there and column.name not in there]
 
 
-def partitioned(connection: "psycopg.Connection") -> set[str]:
+def partitioned_tables(connection: "psycopg.Connection") -> set[str]:
     """Return the tables whose parts, one a day, are made here; another engine may divide a table by itself."""
     rows = connection.execute(
         "SELECT relname FROM pg_class WHERE relnamespace = %s::regnamespace AND relkind = 'p'", (SCHEMA,)
@@ -157,7 +157,7 @@ def partitioned(connection: "psycopg.Connection") -> set[str]:
     return {row[0] for row in rows}
 
 
-def make_days(connection: "psycopg.Connection", wanted: set[tuple[str, int]]) -> None:
+def create_day_partitions(connection: "psycopg.Connection", wanted: set[tuple[str, int]]) -> None:
     """Make the parts of tables for days that have none, a few at once: each is locked until the transaction ends.
 
     Parameters

@@ -11,8 +11,17 @@ from datetime import UTC, datetime
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from daemon.archive.address import ArchiveAddress, connected, telling
-from daemon.archive.tables import COLUMNS_OF, SCHEMA, SET_ASIDE, TYPES, columns_sql, ensure, make_days, partitioned
+from daemon.archive.address import ArchiveAddress, connect_to_archive, translate_database_errors
+from daemon.archive.tables import (
+    COLUMNS_OF,
+    SCHEMA,
+    SET_ASIDE,
+    TYPES,
+    columns_sql,
+    create_day_partitions,
+    ensure_tables,
+    partitioned_tables,
+)
 from daemon.store.batches import KINDS, MOST_ROWS, Batch
 from daemon.store.schema import RUN_COLUMNS
 from daemon.store.store import Origin
@@ -30,14 +39,14 @@ class SentPage(NamedTuple):
     live: bool = True
 
 
-class Taken(NamedTuple):
+class WriteResult(NamedTuple):
     """What came of pages: how many records were new, and sentences about two services that send under one name."""
 
     added: int
-    rivals: list[str]
+    name_conflicts: list[str]
 
 
-class Refused(NamedTuple):
+class RefusedRecord(NamedTuple):
     """A record that the database does not take: its kind, its number with the values of its columns, and why."""
 
     kind: str
@@ -56,7 +65,7 @@ class ArchiveWriter:
     Raises
     ------
     ArchiveError
-        It cannot be used as it is; `ArchiveAwayError` while it does not answer.
+        It cannot be used as it is; `ArchiveUnreachableError` while it does not answer.
     """
 
     def __init__(self, address: ArchiveAddress) -> None:
@@ -64,21 +73,21 @@ class ArchiveWriter:
         self._runs: dict[tuple[str, str], int] = {}
         self._days: set[tuple[str, int]] = set()
         self._partitioned_tables: set[str] = set()
-        self._connection = connected(address, "heliocube archive")
+        self._connection = connect_to_archive(address, "heliocube archive")
         self._connection.autocommit = True
 
     def prepare(self) -> None:
         """Make the tables if they are not there; raises as the constructor does."""
-        with telling(self._address):
-            ensure(self._connection)
-            self._partitioned_tables = partitioned(self._connection)
+        with translate_database_errors(self._address):
+            ensure_tables(self._connection)
+            self._partitioned_tables = partitioned_tables(self._connection)
             for name in KINDS:
                 # With the types that are sent: if somebody has changed a column's type, the server converts them.
                 columns = ", ".join(columns_sql(name))
                 self._connection.execute(f"CREATE TEMP TABLE new_{name} ({columns}) ON COMMIT DELETE ROWS")
 
-    def give_up(self) -> None:
-        """End from another thread a call that waits for a database that hangs; the call raises `ArchiveAwayError`."""
+    def abort_call(self) -> None:
+        """End from another thread a call to a database that hangs; the call raises `ArchiveUnreachableError`."""
         import psycopg  # noqa: PLC0415 - it is in an extra
 
         with (
@@ -91,7 +100,7 @@ class ArchiveWriter:
         """End the connection."""
         self._connection.close()
 
-    def take(self, pages: Sequence[SentPage]) -> Taken:
+    def write(self, pages: Sequence[SentPage]) -> WriteResult:
         """Write pages in one transaction: when this returns, the database has them.
 
         Raises
@@ -101,7 +110,7 @@ class ArchiveWriter:
         """
         import psycopg  # noqa: PLC0415 - it is in an extra
 
-        with telling(self._address):
+        with translate_database_errors(self._address):
             try:
                 return self._write_pages(pages)
             except psycopg.errors.CheckViolation as error:
@@ -111,7 +120,7 @@ class ArchiveWriter:
                 self._days.clear()
                 return self._write_pages(pages)
 
-    def set_aside(self, page: SentPage, refused: Sequence[Refused]) -> None:
+    def set_aside(self, page: SentPage, refused: Sequence[RefusedRecord]) -> None:
         """Keep records of a page that the database does not take, and note that the whole page is here.
 
         Raises
@@ -120,7 +129,11 @@ class ArchiveWriter:
             The database refuses something; nothing is kept then.
         """
         known = dict(self._runs)
-        with telling(self._address), self._connection.transaction(), self._connection.cursor() as cursor:
+        with (
+            translate_database_errors(self._address),
+            self._connection.transaction(),
+            self._connection.cursor() as cursor,
+        ):
             run = self._run_of(page, known)
             cursor.executemany(
                 f"INSERT INTO {SCHEMA}.{SET_ASIDE} (run, kind, number, record, why) VALUES (%s, %s, %s, %s, %s)"  # noqa: S608 - our own names
@@ -144,11 +157,15 @@ class ArchiveWriter:
                         found.setdefault(kind, []).append((number, *values))
                 yield SentPage(installation, Batch(origin, -1, found), live=False)
 
-    def forget_aside(self, page: SentPage, but: Sequence[Refused]) -> None:
+    def forget_aside(self, page: SentPage, but: Sequence[RefusedRecord]) -> None:
         """Remove the set-aside records of a page, which are in their tables by now, `but` those still refused."""
         kept = {(each.kind, each.row[0]) for each in but}
         gone = [(kind, row[0]) for kind, rows in page.batch.rows.items() for row in rows if (kind, row[0]) not in kept]
-        with telling(self._address), self._connection.transaction(), self._connection.cursor() as cursor:
+        with (
+            translate_database_errors(self._address),
+            self._connection.transaction(),
+            self._connection.cursor() as cursor,
+        ):
             run = self._run_of(page, self._runs)
             cursor.executemany(
                 f"DELETE FROM {SCHEMA}.{SET_ASIDE} WHERE run = %s AND kind = %s AND number = %s",  # noqa: S608 - our own names
@@ -156,7 +173,7 @@ class ArchiveWriter:
             )
 
     def _aside_after(self, place: tuple[int, str, int]) -> list[tuple[Any, ...]]:
-        with telling(self._address):
+        with translate_database_errors(self._address):
             return self._connection.execute(
                 f"SELECT run, kind, number, record FROM {SCHEMA}.{SET_ASIDE} WHERE (run, kind, number) > (%s, %s, %s)"  # noqa: S608 - our own names
                 " ORDER BY run, kind, number LIMIT %s",
@@ -165,12 +182,12 @@ class ArchiveWriter:
 
     def _known_run(self, run: int) -> tuple[str, Origin]:
         columns = ", ".join(("installation", "extract(epoch FROM started)::float8", *RUN_COLUMNS[1:]))
-        with telling(self._address):
+        with translate_database_errors(self._address):
             row = self._connection.execute(f"SELECT {columns} FROM {SCHEMA}.runs WHERE run = %s", (run,)).fetchone()  # noqa: S608 - our own names
         assert row is not None  # noqa: S101 - narrowing; a run is never deleted
         return row[0], Origin(*row[1:])
 
-    def _write_pages(self, pages: Sequence[SentPage]) -> Taken:
+    def _write_pages(self, pages: Sequence[SentPage]) -> WriteResult:
         self._make_days(pages)
         known = dict(self._runs)
         with self._connection.transaction():
@@ -179,7 +196,7 @@ class ArchiveWriter:
             self._note_progress(pages, runs)
             rivals = self._rival_sentences(pages, runs) if added else []
         self._runs = known
-        return Taken(added, rivals)
+        return WriteResult(added, rivals)
 
     def _make_days(self, pages: Sequence[SentPage]) -> None:
         wanted = {
@@ -191,7 +208,7 @@ class ArchiveWriter:
             for row in rows
         } - self._days
         if wanted:
-            make_days(self._connection, wanted)
+            create_day_partitions(self._connection, wanted)
             self._days |= wanted
 
     def _run_of(self, page: SentPage, known: dict[tuple[str, str], int]) -> int:
@@ -270,7 +287,7 @@ class ArchiveWriter:
         ]
 
 
-def _as_json(refused: Refused) -> str:
+def _as_json(refused: RefusedRecord) -> str:
     columns = COLUMNS_OF[refused.kind]
     return json.dumps(dict(zip((column.name for column in columns), refused.row[1:], strict=True)))
 

@@ -12,7 +12,7 @@ from daemon.base.errors import UserError
 _FORM = re.compile(r"\[(?P<v6>[^\[\]]*)\]:(?P<port6>[0-9]{1,5})|(?P<v4>[^:\[\]]*):(?P<port4>[0-9]{1,5})", re.ASCII)
 
 ANY_INTERFACE = "0.0.0.0"  # noqa: S104 - the kernel's word for its own choice
-SEND_NO_MORE_ONCE_CLOSED = socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+DROP_UNSENT_ON_CLOSE = socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
 """Option of a socket: closing it drops the bytes that have not been delivered yet, as on a stalled network."""
 
 
@@ -33,7 +33,7 @@ class Address:
         return ipaddress.ip_address(self.host)
 
     @property
-    def reachable(self) -> "Address":
+    def reachable_address(self) -> "Address":
         """The address by which this machine reaches a listener here: loopback if it listens on all networks."""
         if not self.ip.is_unspecified:
             return self
@@ -76,7 +76,7 @@ def parse_address(text: str) -> Address:
     return Address(str(ip), port)
 
 
-def is_here(address: Address) -> bool:
+def is_local_address(address: Address) -> bool:
     """Return whether an address is on this machine now, so that one can listen on it; its ports are not looked at."""
     try:
         with socket.socket(address.family, socket.SOCK_DGRAM) as asking:
@@ -86,7 +86,7 @@ def is_here(address: Address) -> bool:
     return True
 
 
-def without_mapping(host: str) -> str:
+def unmap_ipv4(host: str) -> str:
     """Return an IPv4 address that IPv6 has wrapped, such as ``::ffff:192.0.2.2``, as IPv4, and any other as it is."""
     mapped = getattr(ipaddress.ip_address(host), "ipv4_mapped", None)
     return host if mapped is None else str(mapped)

@@ -145,12 +145,12 @@ def _duration_words(size_s: float) -> str:
     return found or f"{size_s / _YEAR_S:.0f} years"
 
 
-def told_sleep(slept_s: float) -> str:
+def sleep_text(slept_s: float) -> str:
     """Return the sentence for a sleep of the machine of so long [s]."""
     return f"the machine slept for {_duration_words(slept_s)}: readings and wind from before the sleep no longer count"
 
 
-def told_step(step_s: float, now_utc_s: float) -> str:
+def clock_step_text(step_s: float, now_utc_s: float) -> str:
     """Return the sentence for a step of the clock [s] to this UTC [s], from when to when where minutes tell it."""
     before, now = minute_utc(now_utc_s - step_s), minute_utc(now_utc_s)
     return f"the clock was {step_words(step_s)}{f', from {before} to {now}' if before != now else ''}"

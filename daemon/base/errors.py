@@ -21,7 +21,7 @@ class ExitCode(IntEnum):
     """The service cannot be reached: nothing answers at its address, or something that is not heliocube."""
     REFUSED = 6
     """The service refuses: the token is not its own, or the tracker may not move like that now."""
-    UNWRITTEN = 7
+    OUTPUT_FAILED = 7
     """The answer cannot be written to standard output, so nobody has read it; the command may have been carried out."""
     INTERRUPTED = 130
     """Ctrl-C ended the program, which has this code for it as every program has; the last line says what is kept."""
@@ -39,7 +39,7 @@ class InterruptedEarlyError(UserError):
     exit_code: ClassVar[ExitCode] = ExitCode.INTERRUPTED
 
 
-def raised_at(error: BaseException) -> str:
+def error_location(error: BaseException) -> str:
     """Return where an error was raised, such as "law.py, line 12": its author looks there first."""
     *_, last = traceback.extract_tb(error.__traceback__)
     return f"{Path(last.filename).name}, line {last.lineno}"

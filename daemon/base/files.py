@@ -22,7 +22,7 @@ _LONGEST_TOML_TEXT = 4096
 
 
 @contextlib.contextmanager
-def part_of(path: Path) -> Iterator[Path]:
+def atomic_output_path(path: Path) -> Iterator[Path]:
     """Give a path beside `path` for a file that takes its place once it is written; an error leaves what was there.
 
     Links are followed; whatever else is there is replaced.
@@ -39,21 +39,21 @@ def part_of(path: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path, errors: str = "strict") -> Iterator[TextIO]:
+def atomic_text_file(path: Path, errors: str = "strict") -> Iterator[TextIO]:
     """Give a text file that takes the place of `path` once all has been written; an error leaves what was there.
 
     `errors` tells what becomes of letters that UTF-8 does not have, as for `open`.
     """
-    with part_of(path) as part, part.open("w", encoding="utf-8", errors=errors, newline="") as file:
+    with atomic_output_path(path) as part, part.open("w", encoding="utf-8", errors=errors, newline="") as file:
         yield file
 
 
 def replace_file(path: Path, text: str) -> None:
     """Write `text` to `path` by way of a file beside it, and make its folder; an `OSError` leaves no part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as file:
+    with atomic_text_file(path) as file:
         _write_and_sync(file, text)
-    sync_names(Path(file.name).parent)
+    sync_directory(Path(file.name).parent)
 
 
 def rewrite_file(path: Path, text: str) -> None:
@@ -64,9 +64,9 @@ def rewrite_file(path: Path, text: str) -> None:
     OSError
         The file cannot be written, for example on a full disk. It stays as it was.
     """
-    with whole_file(path) as file:
+    with atomic_text_file(path) as file:
         _write_and_sync(file, text, path.stat())
-    sync_names(Path(file.name).parent)
+    sync_directory(Path(file.name).parent)
 
 
 def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None:
@@ -84,7 +84,7 @@ def write_new(path: Path, text: str, like: os.stat_result | None = None) -> None
     except OSError:
         path.unlink(missing_ok=True)
         raise
-    sync_names(path.parent)
+    sync_directory(path.parent)
 
 
 def _write_and_sync(file: TextIO, text: str, like: os.stat_result | None = None) -> None:
@@ -99,15 +99,15 @@ def _write_and_sync(file: TextIO, text: str, like: os.stat_result | None = None)
     os.fsync(file.fileno())
 
 
-def numbered(path: Path) -> Iterator[Path]:
+def numbered_paths(path: Path) -> Iterator[Path]:
     """Yield a path, and the same with -2, -3 and so on at its end."""
     yield path
     yield from (path.with_name(f"{path.name}-{again}") for again in itertools.count(2))
 
 
 def first_free(path: Path) -> Path:
-    """Return the first of `numbered` that is not there."""
-    return next(each for each in numbered(path) if not each.exists())
+    """Return the first of `numbered_paths` that is not there."""
+    return next(each for each in numbered_paths(path) if not each.exists())
 
 
 def make_folder(folder: Path) -> None:
@@ -117,10 +117,10 @@ def make_folder(folder: Path) -> None:
     if not folder.parent.exists():
         make_folder(folder.parent)
     folder.mkdir(exist_ok=True)
-    give(folder)
+    give_to_folder_owner(folder)
 
 
-def give(path: Path) -> None:
+def give_to_folder_owner(path: Path) -> None:
     """Give a path that root has made to the owner of the folder that it is in."""
     if sys.platform == "win32" or os.geteuid() != 0:
         return
@@ -128,7 +128,7 @@ def give(path: Path) -> None:
     os.chown(path, owner.st_uid, owner.st_gid)
 
 
-def sync_names(folder: Path) -> None:
+def sync_directory(folder: Path) -> None:
     """Have the names in a folder on the disk when this returns: until then a renamed file may lose its new name.
 
     Does nothing on Windows and on file systems that cannot do this.
@@ -246,7 +246,7 @@ def write_secret(path: Path, content: bytes, called: str, error: type[UserError]
         # A part of the file would be taken for the secret.
         path.unlink(missing_ok=True)
         raise error(f"{called} cannot be written: {failure.strerror}") from None
-    sync_names(path.parent)
+    sync_directory(path.parent)
 
 
 def read_secret(

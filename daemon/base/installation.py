@@ -17,7 +17,7 @@ PACKAGES = ("daemon", "solar", "drivers", "sim_drivers", "heliocube")
 _REMEDY = "give heliocube an environment of its own (python -m venv, or pipx) and install it there again"
 
 
-def damage() -> str | None:
+def overwritten_package_text() -> str | None:
     """Return one sentence on the first of our packages that another one has taken, with the remedy, or None.
 
     Each package has to stand beside the one that this module was loaded from, and its `__init__.py` has to be the one

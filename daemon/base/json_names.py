@@ -3,7 +3,7 @@
 from typing import Any
 
 
-class NameTwiceError(ValueError):
+class DuplicateNameError(ValueError):
     """A name stands twice in one object.
 
     Parameters
@@ -17,11 +17,11 @@ class NameTwiceError(ValueError):
         self.name = name
 
 
-def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the pairs as an object, as `object_pairs_hook` of `json`; `NameTwiceError` where a name stands twice."""
+def reject_duplicate_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the pairs as an object, as `object_pairs_hook` of `json`; `DuplicateNameError` if a name stands twice."""
     found: dict[str, Any] = {}
     for name, value in pairs:
         if name in found:
-            raise NameTwiceError(ascii(name)[:40])
+            raise DuplicateNameError(ascii(name)[:40])
         found[name] = value
     return found

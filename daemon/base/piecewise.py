@@ -14,7 +14,9 @@ limit would pass, and hundreds of small parts of a body would be taken apart in 
 
 LONGEST_HEAD = 16 << 10
 """Most bytes of a request's head."""
-TOO_LONG = f"the head of this request is longer than {LONGEST_HEAD} bytes; a browser sends fewer without its cookies"
+HEAD_TOO_LONG_TEXT = (
+    f"the head of this request is longer than {LONGEST_HEAD} bytes; a browser sends fewer without its cookies"
+)
 # Room for what comes at once with a head that is too long: three times as much, and more.
 _MOST_UNREAD = 1 << 16
 # Otherwise the kernel would grow this buffer to megabytes for a client that does not read.
@@ -54,4 +56,4 @@ class PiecewiseProtocol(H11Protocol, asyncio.BufferedProtocol):
     def send_400_response(self, msg: str) -> None:
         """Answer a request that cannot be read, and close."""
         self.drop_unread()
-        super().send_400_response(TOO_LONG if self.head_is_too_long else msg)
+        super().send_400_response(HEAD_TOO_LONG_TEXT if self.head_is_too_long else msg)

@@ -8,10 +8,10 @@ from contextlib import AbstractContextManager, contextmanager
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
-from daemon.base.addresses import without_mapping
+from daemon.base.addresses import unmap_ipv4
 
 
-class Places:
+class ClientSlots:
     """Places that are taken for long, of which one remote address gets no more than half.
 
     Loopback may have all places: all clients may come from there, through a tunnel or a proxy on this machine.
@@ -29,7 +29,7 @@ class Places:
     def are_free_for(self, host: str) -> bool:
         """Return whether a client from this host may take a place; a proxy may give any text as its host."""
         try:
-            near = ipaddress.ip_address(without_mapping(host)).is_loopback
+            near = ipaddress.ip_address(unmap_ipv4(host)).is_loopback
         except ValueError:
             near = False
         return self._taken.total() < self._place_count and self._taken[host] < (
@@ -54,8 +54,8 @@ class EventStream(StreamingResponse):
     events
         As they are sent.
     place
-        What `Places.taken_by` has given. It is taken when the answer begins and not with the first event, which may be
-        late: of many clients that come at once, each would find the place free.
+        What `ClientSlots.taken_by` has given. It is taken when the answer begins and not with the first event, which
+        may be late: of many clients that come at once, each would find the place free.
     """
 
     def __init__(self, events: AsyncIterable[str | bytes], place: AbstractContextManager[None]) -> None:

@@ -14,7 +14,7 @@ from contextvars import ContextVar
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from daemon.base.alarms.kinds import as_typed
+from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.clock import Clock, iso_utc
 
 if TYPE_CHECKING:
@@ -30,11 +30,11 @@ _PLAIN_VALUE = re.compile(r'[^\s="\\]+')
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
-TRACKER: ContextVar[str] = ContextVar("tracker", default="")
+CURRENT_TRACKER: ContextVar[str] = ContextVar("tracker", default="")
 """Which of several trackers, or of several services, the present task works for: every line that it logs names it."""
 
 
-def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.INFO) -> None:
+def configure_logging(stream: "SupportsWrite[str]", journal: bool, level: int = logging.INFO) -> None:
     """Send every record of the process to `stream`, warnings of the interpreter included.
 
     Parameters
@@ -55,7 +55,7 @@ def configure(stream: "SupportsWrite[str]", journal: bool, level: int = logging.
 
 @contextlib.contextmanager
 def simulated_time_in_log(clock: Clock) -> Iterator[None]:
-    """Begin each warning of a process without `configure` with the clock's time, and with the tracker if several."""
+    """Begin each warning, without `configure_logging`, with the clock's time, and with the tracker if several."""
     handler = logging.lastResort
     if handler is None:
         yield
@@ -68,7 +68,7 @@ def simulated_time_in_log(clock: Clock) -> Iterator[None]:
         handler.setFormatter(before)
 
 
-def keep_start() -> None:
+def freeze_startup_objects() -> None:
     """Exclude what the start has made from garbage collection: it stays, and each collection blocked the loop 0.2 s."""
     gc.collect()
     gc.freeze()
@@ -80,7 +80,7 @@ class _SimulatedTimeFormatter(logging.Formatter):
         self._clock = clock
 
     def format(self, record: logging.LogRecord) -> str:
-        name = TRACKER.get()
+        name = CURRENT_TRACKER.get()
         return f"{iso_utc(self._clock.utc())[:19]}Z {f'{name}: ' if name else ''}{super().format(record)}"
 
 
@@ -93,7 +93,7 @@ class LineFormatter(logging.Formatter):
     Parameters
     ----------
     journal
-        As for `configure`.
+        As for `configure_logging`.
     """
 
     def __init__(self, journal: bool) -> None:
@@ -102,7 +102,7 @@ class LineFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line, and the traceback's lines if there is one."""
-        message = as_typed(record.getMessage().strip(), TRACKER.get() or None)
+        message = with_tracker_option(record.getMessage().strip(), CURRENT_TRACKER.get() or None)
         line = " ".join([_escape(message), *_fields(record)])
         lines = [line, *self._traceback(record)]
         if self._journal:
@@ -118,7 +118,7 @@ class LineFormatter(logging.Formatter):
 
 
 def _fields(record: logging.LogRecord) -> list[str]:
-    name = TRACKER.get()
+    name = CURRENT_TRACKER.get()
     fields: dict[str, object] = ({"tracker": name} if name else {}) | getattr(record, "fields", {})
     return [f"{key}={_value(value)}" for key, value in fields.items()]
 
@@ -147,7 +147,7 @@ def _priority(level: int) -> int:
     return next((priority for least, priority in _PRIORITIES if level >= least), _DEBUG_PRIORITY)
 
 
-class Notifier:
+class SystemdNotifier:
     """Tells systemd how the service is; says nothing where there is no systemd.
 
     A message that cannot be delivered at once is dropped: the service never waits for its manager, nor fails by it.
@@ -188,7 +188,7 @@ class Notifier:
         """Tell that shut-down has begun."""
         self._send("STOPPING=1")
 
-    def keep(self, name: str, opened: socket.socket) -> None:
+    def store_socket(self, name: str, opened: socket.socket) -> None:
         """Give the manager a socket to hold while this process ends and the next one begins (FileDescriptorStoreMax=).
 
         Parameters
@@ -200,7 +200,7 @@ class Notifier:
         """
         self._send(f"FDSTORE=1\nFDNAME={name}", opened)
 
-    def take_kept(self, name: str) -> socket.socket | None:
+    def take_stored_socket(self, name: str) -> socket.socket | None:
         """Return the socket that a process before this one gave the manager under a name, or None.
 
         All other sockets that it gave are closed, and the manager has let go of them when this returns: nobody would
@@ -289,7 +289,7 @@ def on_signals(stop: Callable[[], object]) -> Iterator[Callable[[], None]]:
 
 
 @contextlib.contextmanager
-def as_ctrl_c() -> Iterator[None]:
+def signals_as_ctrl_c() -> Iterator[None]:
     """Treat SIGTERM, and the SIGHUP of a lost connection, as Ctrl-C, so that work in progress ends in order.
 
     A signal that is ignored at the start, as under nohup, stays ignored. The same signal counts once.

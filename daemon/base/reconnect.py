@@ -10,7 +10,7 @@ import math
 from collections.abc import Awaitable, Callable
 from random import Random
 
-from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, Wording
+from daemon.base.recurrence import REMIND_AFTER_S, Recurrence, ReportStyle
 
 # People may plug a device in and out several times in a row.
 _FEW = 6
@@ -42,14 +42,14 @@ class Outage:
         self.since = self._began_s = now_s
         self.repeats = 0
         said = self._recurrence.note(now_s)
-        self._reported_plainly = said is Wording.PLAINLY
+        self._reported_plainly = said is ReportStyle.INDIVIDUAL
         # In the middle of coming and going, skip the reminders that come before an outage counts as a true one.
         self._reminders = 0 if self._reported_plainly else REMIND_AFTER_S.index(_LONG_S)
         self._remind_s = now_s + REMIND_AFTER_S[self._reminders]
-        if said is Wording.PLAINLY:
+        if said is ReportStyle.INDIVIDUAL:
             return self._warn(f"{self._subject} is down: {self.reason}", now_s)
         often = f"{self._subject} comes and goes: {self._recurrence.how_often(now_s)}: {self.reason}"
-        if said is Wording.OFTEN:
+        if said is ReportStyle.SUMMARY:
             return self._warn(often, now_s)
         self._logger.debug("%s", often)
         return ""
@@ -100,7 +100,7 @@ class Outage:
         return back if self._reported_plainly else ""
 
     def _report_steady_again(self, now_s: float) -> str:
-        count = self._recurrence.over(now_s, self._up_s)
+        count = self._recurrence.end_if_calm(now_s, self._up_s)
         if not count:
             return ""
         worked_min = round((now_s - self._up_s) / 60.0)
@@ -151,7 +151,7 @@ class Backoff:
         self._delay_s = self._first_s
 
 
-class Rhythm:
+class PeriodicSchedule:
     """Beats at whole multiples of a period from its start, so that delays do not add up.
 
     Attributes
@@ -226,7 +226,7 @@ class Reconnection:
         Parameters
         ----------
         use
-            Opens the device and works with it; `works` is to be called as soon as it has proven itself.
+            Opens the device and works with it; `note_working` is to be called as soon as it has proven itself.
         close
             Releases it, after every loss.
         forget
@@ -243,7 +243,7 @@ class Reconnection:
                 await close()
                 await asyncio.sleep(self._backoff.next_s())
 
-    def works(self, how: str = "") -> bool:
+    def note_working(self, how: str = "") -> bool:
         """Take note that the device works, to be called as long as it does; return whether that was worth telling.
 
         Parameters

@@ -309,7 +309,7 @@ Record = Scan | Decision | Move | Pose | IvCurve | ModeChange | Event
 Subscriber = Callable[[Record], None]
 
 
-def stamped(publish: Subscriber, tracker: str) -> Subscriber:
+def tag_with_tracker(publish: Subscriber, tracker: str) -> Subscriber:
     """Return a function that hands records on to `publish` with the name of their tracker; a scan belongs to none."""
 
     def publish_named(record: Record) -> None:
@@ -318,7 +318,7 @@ def stamped(publish: Subscriber, tracker: str) -> Subscriber:
     return publish_named
 
 
-def concerns(record: Record, tracker: str) -> bool:
+def is_relevant_to(record: Record, tracker: str) -> bool:
     """Whether a record is one tracker's own, or that of no tracker."""
     return isinstance(record, Scan) or record.tracker in ("", tracker)
 

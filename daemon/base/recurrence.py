@@ -12,12 +12,12 @@ _MOST = 10_000
 _FIRST_CALM_S, _LONGEST_CALM_S = 1800.0, 21600.0
 
 
-class Wording(Enum):
+class ReportStyle(Enum):
     """How to tell of one more occurrence: by itself, as one of many, or not at all."""
 
-    PLAINLY = "plainly"
-    OFTEN = "often"
-    QUIETLY = "quietly"
+    INDIVIDUAL = "plainly"
+    SUMMARY = "often"
+    SILENT = "quietly"
 
 
 class Recurrence:
@@ -43,7 +43,7 @@ class Recurrence:
         self._spells = self._reminders = self._reported = self._count = 0
         self._due_s = -math.inf
 
-    def note(self, now_s: float) -> Wording:
+    def note(self, now_s: float) -> ReportStyle:
         """Take note of one more time, at a monotonic time [s]; return how to tell it."""
         self._forget_old(now_s)
         self._times.append(now_s)
@@ -51,21 +51,21 @@ class Recurrence:
         if len(self._times) <= (self._few // 2 if self._is_frequent else self._few):
             self._begin()
             self._count = len(self._times)
-            return Wording.PLAINLY
+            return ReportStyle.INDIVIDUAL
         if not self._is_frequent:
             if self._tell_next_plainly:
                 self._tell_next_plainly = False
-                return Wording.PLAINLY
+                return ReportStyle.INDIVIDUAL
             self._is_frequent, self._reported = True, 0
             self._spells += 1
         if now_s < self._due_s or (self._reported and not self._reminds):
-            return Wording.QUIETLY
+            return ReportStyle.SILENT
         self._due_s = now_s + self._pause_s()
         self._reminders += 1
         self._reported += 1
-        return Wording.OFTEN
+        return ReportStyle.SUMMARY
 
-    def over(self, now_s: float, calm_since_s: float) -> int:
+    def end_if_calm(self, now_s: float, calm_since_s: float) -> int:
         """Return how often it had happened, once it has been calm for long enough; 0 before, or if nothing was told.
 
         The next time is told plainly again.
@@ -131,16 +131,16 @@ class LogBudget:
         self._unreported += 1
         self._last_s = now_s
         wording = self._recurrence.note(now_s)
-        if wording is Wording.QUIETLY:
+        if wording is ReportStyle.SILENT:
             return ""
         number, self._unreported = self._unreported, 0
-        if wording is Wording.PLAINLY and number == 1:
+        if wording is ReportStyle.INDIVIDUAL and number == 1:
             return sentence
         return f"{self._subject}: {number} more, and only their number is logged while they go on; latest: {sentence}"
 
-    def settle(self, now_s: float) -> str:
+    def poll_flood_summary(self, now_s: float) -> str:
         """Return the line that ends a flood once it has been over for half an hour, else nothing; to be polled."""
-        if not self._recurrence.over(now_s, self._last_s) or not self._unreported:
+        if not self._recurrence.end_if_calm(now_s, self._last_s) or not self._unreported:
             return ""
         number, self._unreported = self._unreported, 0
         return f"{self._subject}: {number} more, the last {(now_s - self._last_s) / 60.0:.0f} min ago"

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from daemon.base.files import sync_names
+from daemon.base.files import sync_directory
 
 if TYPE_CHECKING:
     # Not at run time: a program that imports this module need not wait for a large library.
@@ -29,7 +29,7 @@ _SLOW_AFTER_S = 5.0
 State = TypeVar("State", bound="BaseModel")
 
 
-class OfDay(Protocol):
+class DailyCount(Protocol):
     """What is counted on one day."""
 
     @property
@@ -37,10 +37,10 @@ class OfDay(Protocol):
         """The day, counted from 1970."""
 
 
-Counted = TypeVar("Counted", bound=OfDay)
+Counted = TypeVar("Counted", bound=DailyCount)
 
 
-def turn_day(day: int, before: Counted, later: Counted | None, fresh: Counted) -> tuple[Counted, Counted | None]:
+def roll_over_day(day: int, before: Counted, later: Counted | None, fresh: Counted) -> tuple[Counted, Counted | None]:
     """Return the count of a day that begins, and the count of a later day that is to be kept meanwhile, or None.
 
     A machine whose clock battery is empty starts with a date years ago, and its clock is set later: the count of the
@@ -72,7 +72,7 @@ def spare_of(path: Path) -> Path:
     return path.with_suffix(".spare")
 
 
-def replace_kept(path: Path, text: str) -> None:
+def replace_state_file(path: Path, text: str) -> None:
     """Replace a file as a whole, in the room of its previous content: a full disk has no other.
 
     The previous content stays beside the file as its spare, and the next content is written over it. Content that fits
@@ -95,7 +95,7 @@ def replace_kept(path: Path, text: str) -> None:
             before.unlink(missing_ok=True)
             os.link(path, before)
     spare.replace(path)
-    sync_names(path.parent)
+    sync_directory(path.parent)
     with contextlib.suppress(OSError):
         if before.exists():
             before.replace(spare)
@@ -103,7 +103,7 @@ def replace_kept(path: Path, text: str) -> None:
             _overwrite(spare, text)
 
 
-def reserve_room(path: Path) -> None:
+def reserve_disk_space(path: Path) -> None:
     """Make the spare of a kept file, and a second one if the file is not there yet: the disk may be full later."""
     spare, first = spare_of(path), path.with_suffix(".before")
     with contextlib.suppress(OSError):
@@ -160,8 +160,8 @@ class StateFolder:
         directory: Path | None,
         *,
         behind: bool = False,
-        replace: Callable[[Path, str], None] = replace_kept,
-        reserve: Callable[[Path], None] = reserve_room,
+        replace: Callable[[Path, str], None] = replace_state_file,
+        reserve: Callable[[Path], None] = reserve_disk_space,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self.directory = directory
@@ -200,7 +200,7 @@ class StateFolder:
         self._write()
 
     @property
-    def at_work(self) -> bool:
+    def is_writing(self) -> bool:
         """Whether something is being written that has not failed yet."""
         with self._changed:
             return self._working
@@ -228,7 +228,7 @@ class StateFolder:
                 self._waiting[path].tried = False
         self._write()
 
-    def settle(self, within_s: float) -> bool:
+    def wait_for_writes(self, within_s: float) -> bool:
         """Wait until everything has been tried once, and return whether all is on the disk; blocks."""
         with self._changed:
             self._changed.wait_for(lambda: not self._working, within_s)
@@ -237,7 +237,7 @@ class StateFolder:
     def close(self) -> None:
         """Try once more what waits, for a few seconds at most, and report what a restart will have forgotten."""
         self.retry()
-        self.settle(_CLOSE_WITHIN_S)
+        self.wait_for_writes(_CLOSE_WITHIN_S)
         unsaved = self.unsaved
         if unsaved is not None:
             log.error("%s", unsaved)

@@ -61,7 +61,7 @@ class _ScaledSelector(_DelegatingSelector):
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         loop = self._loop
         due_s = math.inf if timeout is None else loop.time() + timeout
-        events = self._real.select(None if timeout is None else max(due_s - loop.wanted_s(), 0.0) / loop.speed)
+        events = self._real.select(None if timeout is None else max(due_s - loop.ideal_time_s(), 0.0) / loop.speed)
         loop.begin_turn(due_s)
         return events
 
@@ -91,13 +91,13 @@ class ScaledTimeLoop(asyncio.SelectorEventLoop):
         begun_s, begun_real_s = self._turn
         return begun_s + min((time.monotonic() - begun_real_s) * self.speed, _LONGEST_TURN_S)
 
-    def wanted_s(self) -> float:
+    def ideal_time_s(self) -> float:
         """Return what the time would be if the program had always run when it was to."""
         return self._start_s + (time.monotonic() - self._start_s) * self.speed
 
     def begin_turn(self, at_most_s: float) -> None:
         """Set the time to what it should be, but not beyond the timer that was waited for."""
-        self._turn = min(self.wanted_s(), at_most_s), time.monotonic()
+        self._turn = min(self.ideal_time_s(), at_most_s), time.monotonic()
 
 
 class _Beat(NamedTuple):
@@ -215,7 +215,7 @@ class _VirtualSelector(_DelegatingSelector):
         self.skip(max(until_s - self.now_s, 0.0))
         return True
 
-    def pass_alone(self, when_s: float) -> bool:
+    def advance_if_idle(self, when_s: float) -> bool:
         """Let time go on to an instant if nothing else is to happen before; return False if something is."""
         self._drop_cancelled()
         if self.jobs or (self._timers and self._timers[0][0] <= when_s + max(_RESOLUTION_S, math.ulp(when_s))):
@@ -287,7 +287,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         task = asyncio.current_task(self)
         if task is None or task.cancelling() or getattr(self, "_ready", True):
             return False
-        return self._virtual.pass_alone(until_s)
+        return self._virtual.advance_if_idle(until_s)
 
     def call_every(self, every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
         """Call back again and again, at a tenth of what a timer costs; return a function that ends this.
@@ -361,10 +361,10 @@ def call_every(every_s: float, call: Callable[[], bool]) -> Callable[[], None]:
 
 async def call_until(every_s: float, call: Callable[[], bool]) -> None:
     """Call back every `every_s` until that returns True; in virtual time cheaper than a task that sleeps in between."""
-    await look_until(asyncio.Event(), every_s, call)
+    await wait_or_poll(asyncio.Event(), every_s, call)
 
 
-async def look_until(event: asyncio.Event, every_s: float, call: Callable[[], bool]) -> None:
+async def wait_or_poll(event: asyncio.Event, every_s: float, call: Callable[[], bool]) -> None:
     """Return when `event` is set, or a call every `every_s` returns True, and leave the event cleared."""
 
     def beat() -> bool:

@@ -17,9 +17,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, is_here
+from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, is_local_address
 from daemon.base.clock import Clock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.reconnect import Outage
 
 _log = logging.getLogger("heliocube.bridge")
@@ -93,7 +93,7 @@ class UdpPort:
         group: Address | None,
         interface: str,
         receive: Callable[[bytes, Peer, float], None],
-        keeper: Notifier,
+        keeper: SystemdNotifier,
         clock: Clock,
         alarm: Callable[[str, str | None], None],
     ) -> None:
@@ -120,7 +120,7 @@ class UdpPort:
         return self._listen if self._bound is None else Address(*self._bound.getsockname()[:2])
 
     @property
-    def deaf_why(self) -> str | None:
+    def down_why(self) -> str | None:
         """Why nothing can be heard now, in a sentence, or None."""
         return self._outage.reason if self._outage.is_down else None
 
@@ -129,7 +129,7 @@ class UdpPort:
 
         An address or a network that is not there now is left to `open`. Raises `BridgeError` if waiting cannot help.
         """
-        kept = self._keeper.take_kept(self._name_kept)
+        kept = self._keeper.take_stored_socket(self._name_kept)
         if kept is not None:
             kept.setblocking(False)
             self._bound, self._was_kept = kept, True
@@ -176,7 +176,7 @@ class UdpPort:
             self._bound.close()
             self._bound = None
 
-    def favour(self, peer: Peer, now_s: float) -> None:
+    def dedicate_socket(self, peer: Peer, now_s: float) -> None:
         """Give a peer that has sent an authentic scan, at a monotonic time [s], a line if one is free."""
         if peer in self._lines:
             self._last_scan_s[peer] = now_s
@@ -234,12 +234,12 @@ class UdpPort:
         """Bind and join as far as that is not done; raises `BridgeError` where nothing can be heard."""
         if self._bound is None:
             self._bound = self._bind()
-            self._keeper.keep(self._name_kept, self._bound)
+            self._keeper.store_socket(self._name_kept, self._bound)
             if self._is_reading:
                 self._read_from(self._bound)
         if self._group is not None:
             self._keep_joined(self._group, self._bound)
-        elif not is_here(self._listen):
+        elif not is_local_address(self._listen):
             raise _NotHereError(f"bridge.listen: {self._listen} {_NOT_ON_THIS_MACHINE}")
 
     def _keep_joined(self, group: Address, bound: socket.socket) -> None:

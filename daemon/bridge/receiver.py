@@ -5,8 +5,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key, without_mapping
-from daemon.base.process import Notifier
+from daemon.base.addresses import ANY_INTERFACE, Address, BridgeError, parse_address, require_key, unmap_ipv4
+from daemon.base.process import SystemdNotifier
 from daemon.bridge import senml, signing
 from daemon.bridge.port import Peer, UdpPort
 from daemon.bridge.refusals import Refusal, ScanRefusedError, Statistics, Tally
@@ -53,7 +53,7 @@ class BridgeReceiver:
         key: bytes | None,
         clock: "Clock",
         on_scan: Callable[["Scan"], None],
-        keeper: Notifier | None = None,
+        keeper: SystemdNotifier | None = None,
         alarm: Callable[[str, str | None], None] = lambda _name, _text: None,
     ) -> None:
         require_key(key, insecure=settings.insecure)
@@ -70,13 +70,13 @@ class BridgeReceiver:
         self._tally = Tally()
         interface = settings.multicast_interface or ANY_INTERFACE
         self._port = UdpPort(
-            self._listen, self._group, interface, self.datagram_received, keeper or Notifier({}, 0), clock, alarm
+            self._listen, self._group, interface, self.datagram_received, keeper or SystemdNotifier({}, 0), clock, alarm
         )
 
     @property
     def address(self) -> str:
         """Where a sender on this machine reaches the receiver; the true port once it is open."""
-        return str(self._port.address.reachable)
+        return str(self._port.address.reachable_address)
 
     @property
     def statistics(self) -> Statistics:
@@ -84,9 +84,9 @@ class BridgeReceiver:
         return self._tally.statistics(self._guard.lost)
 
     @property
-    def deaf_why(self) -> str | None:
+    def down_why(self) -> str | None:
         """Why nothing can be heard now: an address or a network of the settings is not there. None if it is."""
-        return self._port.deaf_why
+        return self._port.down_why
 
     @property
     def refused_since_accepted(self) -> str:
@@ -124,7 +124,7 @@ class BridgeReceiver:
         It came `waited_s` ago [s], and is judged and dated by the time when it came.
         """
         if self._examine_and_pass_on(data, addr, addr[0], waited_s):
-            self._port.favour(addr, self._clock.monotonic())
+            self._port.dedicate_socket(addr, self._clock.monotonic())
 
     def take(self, data: bytes, sender: str) -> None:
         """Examine a scan that came over a transport without IP addresses, as a datagram is examined."""
@@ -179,4 +179,4 @@ class BridgeReceiver:
 @lru_cache(maxsize=1024)
 def _ip_of(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     """Return an address of the allow-list or of a sender; IPv4 within IPv6 is IPv4."""
-    return ipaddress.ip_address(without_mapping(text.partition("%")[0]))
+    return ipaddress.ip_address(unmap_ipv4(text.partition("%")[0]))

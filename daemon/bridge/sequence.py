@@ -7,7 +7,7 @@ from daemon.base.records import FaceReading, Scan
 from daemon.bridge.refusals import Refusal, ScanRefusedError
 
 # For this long after its last scan a cube counts as present, and no other takes its place.
-HELD_S = 60.0
+CUBE_TIMEOUT_S = 60.0
 DELAY_WINDOW_S = 300.0
 SEQUENCE_WINDOW = 64
 SESSIONS_REMEMBERED = 64
@@ -20,8 +20,8 @@ class SequenceGuard:
 
     A new session is taken for a restart of the followed one. If the old session sends again, the new one was no restart
     but a second cube under the same name: then the older session is followed again, and the newer one only when the
-    older has been silent for `HELD_S`. A session that returns must send a new scan: with a higher number than its last,
-    and a stamp that is of now, or later than that of the last scan accepted.
+    older has been silent for `CUBE_TIMEOUT_S`. A session that returns must send a new scan: with a higher number than
+    its last, and a stamp that is of now, or later than that of the last scan accepted.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class SequenceGuard:
 
     def screen(self, head: "ScanHead", arrival_utc_s: float, arrival_monotonic_s: float) -> None:
         """Refuse a scan if its head is reason enough; changes nothing. Raises like `admit`, which calls it first."""
-        if head.source != self._source and arrival_monotonic_s - self._accepted_at_s < HELD_S:
+        if head.source != self._source and arrival_monotonic_s - self._accepted_at_s < CUBE_TIMEOUT_S:
             raise ScanRefusedError(
                 Refusal.OTHER_SOURCE,
                 f"is from the cube {head.source} while {self._source} is followed: give each cube a port of its own,"
@@ -106,7 +106,7 @@ class SequenceGuard:
     def _refuse_second(self, session: "_Session", now_s: float) -> None:
         """Refuse a session while an older one is present."""
         followed = self._followed
-        if followed is None or followed is session or not now_s - followed.accepted_at_s < HELD_S:
+        if followed is None or followed is session or not now_s - followed.accepted_at_s < CUBE_TIMEOUT_S:
             return
         if self._sessions.index(followed) < self._sessions.index(session):
             raise ScanRefusedError(

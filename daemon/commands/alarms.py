@@ -8,7 +8,7 @@ import typer
 
 from daemon.base.errors import ExitCode, UserError
 from daemon.commands.answers import JsonOption, print_json, say
-from daemon.commands.operate import TokenOption, WhyOption, give
+from daemon.commands.operate import TokenOption, WhyOption, send_command
 from daemon.commands.options import ApiOption, ConfigOption, TrackerOption
 
 if TYPE_CHECKING:
@@ -27,11 +27,11 @@ def alarms(
     """Show the alarms, what to do about each, and acknowledge them."""
     from rich.console import Console
 
-    from daemon.api.client import find_unarmed
+    from daemon.api.client import find_without_token
 
     if context.invoked_subcommand is not None:
         return
-    state = find_unarmed(config, api).state()
+    state = find_without_token(config, api).state()
     if as_json:
         print_json(state["alarms"])
     elif state["alarms"]:
@@ -55,7 +55,7 @@ def acknowledge(
     if everything is (name is not None):
         raise UserError("name the alarm, such as 'heliocube alarms ack move-failed', or say --all")
     which = {} if name is None else {"alarm": name}
-    give("acknowledge", config, api, token_file, why, tracker, as_json=as_json, **which)
+    send_command("acknowledge", config, api, token_file, why, tracker, as_json=as_json, **which)
 
 
 def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
@@ -63,7 +63,7 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     from rich.text import Text
 
     from daemon.commands.status.screen import alarm_state
-    from daemon.commands.status.times import in_local
+    from daemon.commands.status.times import localise_times
 
     lines = Table.grid(padding=(0, 2))
     lines.add_column(style="dim")
@@ -71,7 +71,7 @@ def _lines(alarm: dict[str, Any], state: dict[str, Any]) -> "Table":
     of = f" of {alarm['tracker']}" if alarm["tracker"] and len(state["trackers"]) > 1 else ""
     style = "bold" if alarm["state"] == "acknowledged" else "bold red"
     rows = {
-        alarm["severity"]: Text(f"{alarm['name']}{of}: {in_local(alarm['text'], state['time'])}", style=style),
+        alarm["severity"]: Text(f"{alarm['name']}{of}: {localise_times(alarm['text'], state['time'])}", style=style),
         "state": Text(f"{alarm['state']}, {alarm_state(alarm, state)}"),
         "effect": Text(alarm["effect"]),
         "remedy": Text(alarm["remedy"].replace("`", "'")),
@@ -111,25 +111,25 @@ def notify(
     from daemon.base.clock import SystemClock
     from daemon.base.state import StateFolder
     from daemon.config.link_rules import conflicts_of_quiet_hours
-    from daemon.config.links import NotifySettings, section_of_guest
-    from daemon.config.section import beside
+    from daemon.config.links import NotifySettings, read_client_section
+    from daemon.config.section import resolve_file_paths
     from daemon.notify import courier
     from daemon.notify.recipients import recipients_of
 
-    settings = beside(config, section_of_guest(config, "notify", NotifySettings))
+    settings = resolve_file_paths(config, read_client_section(config, "notify", NotifySettings))
     if api:
         settings = settings.model_copy(update={"services": tuple(api)})
     for conflict in conflicts_of_quiet_hours(settings):
         raise UserError(f"{conflict.key} {conflict.reason}")
     recipients = recipients_of(settings.people_file)
-    process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
+    process.configure_logging(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
     logging.getLogger("httpx").setLevel(logging.WARNING)
     if test:
-        delivered = asyncio.run(courier.test(settings, recipients, typer.echo))
+        delivered = asyncio.run(courier.send_test_notice(settings, recipients, typer.echo))
         raise typer.Exit(ExitCode.GOOD if delivered else ExitCode.ALARMS)
     services, people = ", ".join(settings.services), ", ".join(each.name for each in recipients)
     say(f"telling {people} of alarms of {services}")
-    manager = process.Notifier(os.environ, os.getpid())
+    manager = process.SystemdNotifier(os.environ, os.getpid())
     # systemd gives a folder. Started by hand there is none: the person sees the terminal.
     kept_in = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     folder = StateFolder(Path(kept_in) if kept_in else None, behind=True)

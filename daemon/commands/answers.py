@@ -31,13 +31,13 @@ def print_json(page: Mapping[str, Any] | list[Any]) -> None:
     typer.echo(json.dumps(plain, indent=2))
 
 
-def teller(*, as_json: bool) -> Callable[[str], None]:
+def message_printer(*, as_json: bool) -> Callable[[str], None]:
     """Return a function that prints a line for people: on standard output, or on standard error beside JSON."""
     return lambda text: say(text, err=as_json)
 
 
 @contextmanager
-def goes_on_later(so_far: str) -> Iterator[None]:
+def explain_interruption(so_far: str) -> Iterator[None]:
     """Say after Ctrl-C what is done so far: the work can be taken up there. Raises `InterruptedEarlyError`."""
     try:
         yield

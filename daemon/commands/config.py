@@ -12,7 +12,7 @@ from rich.text import Text
 
 from daemon.base.records import FACES
 from daemon.commands.answers import JsonOption, print_json, say
-from daemon.commands.file_check import absent_addresses, check_file, lacking_by_role
+from daemon.commands.file_check import absent_addresses, check_file, missing_requirements_by_role
 from daemon.commands.options import CONFIG_VARIABLE, CubeOption, PositionerOption, RoleChoice
 from daemon.commands.wrapping import wrapped
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from daemon.config.sections import RowsSettings
     from daemon.config.settings import Settings
 
-KEY_NAME = "bridge.key"
-TOKEN_NAME = "api.token"  # noqa: S105 - the name of a file
+KEY_FILE_NAME = "bridge.key"
+TOKEN_FILE_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
     help="Check a configuration file, write a commented one, or update an older one.",
@@ -68,7 +68,9 @@ def check(
     warnings = absent_addresses(settings)
     if settings.real:
         warnings += self_test_gaps(settings)
-        summary["runs as"] = ", ".join(each for each, sentences in lacking_by_role(settings).items() if not sentences)
+        summary["runs as"] = ", ".join(
+            each for each, sentences in missing_requirements_by_role(settings).items() if not sentences
+        )
     summary |= answers
     if as_json:
         print_json({"file": file, "good": True, "problems": (), "sets_up": summary, "warnings": warnings})
@@ -124,14 +126,14 @@ def _probe(role: RoleChoice | None, answers: dict[str, str], settings: "Settings
     import asyncio
 
     from daemon.base.errors import UserError
-    from daemon.commands.upgrade.instruments import instruments
+    from daemon.commands.upgrade.instruments import check_instruments
     from daemon.service.rig import Role
 
     if not settings.real:
         raise UserError("--probe: these instruments are simulated (instruments.kind), and there is nothing to open")
-    lacking = lacking_by_role(settings)
+    lacking = missing_requirements_by_role(settings)
     able = next((each for each in (RoleChoice.both, *lacking) if not lacking[each]), RoleChoice.both)
-    found = asyncio.run(instruments(settings, Role((role or able).value)))
+    found = asyncio.run(check_instruments(settings, Role((role or able).value)))
     answers |= {each.subject: each.text for each in found if each.ok}
     return [f"{each.subject}: {each.text}; {each.remedy}" for each in found if not each.ok]
 
@@ -159,13 +161,13 @@ def write_example(
     from daemon.base.files import write_new
     from daemon.bridge.signing import generate_key, write_key
     from daemon.config.plugged import CUBE, DRIVER, POSITIONER
-    from daemon.config.template import FILE_NAME, example
+    from daemon.config.template import FILE_NAME, render_config
     from daemon.store.place import RECORDS_NAME
 
-    file, key, token = directory / FILE_NAME, directory / KEY_NAME, directory / TOKEN_NAME
+    file, key, token = directory / FILE_NAME, directory / KEY_FILE_NAME, directory / TOKEN_FILE_NAME
     values: dict[str, Any] = {
-        "bridge.key_file": KEY_NAME,
-        "api.token_file": TOKEN_NAME,
+        "bridge.key_file": KEY_FILE_NAME,
+        "api.token_file": TOKEN_FILE_NAME,
         "store.directory": RECORDS_NAME,
     }
     if role == "tracker":
@@ -185,7 +187,7 @@ def write_example(
         _refuse_taken(file, key, token)
         made = [folder for folder in (directory, *directory.parents) if not folder.exists()]
         directory.mkdir(parents=True, exist_ok=True)
-        write_new(file, example(role, values, tuple(chosen)))
+        write_new(file, render_config(role, values, tuple(chosen)))
         written.append(file)
         write_key(key, generate_key())
         written.append(key)

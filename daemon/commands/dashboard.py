@@ -53,12 +53,12 @@ def dashboard(
     services = addresses(api or settings.services)
     # Beside a service, the service's own lines on the terminal say enough.
     level = logging.ERROR if with_parent else logging.INFO
-    process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ, level=level)
+    process.configure_logging(sys.stderr, journal="JOURNAL_STREAM" in os.environ, level=level)
     # httpx would log a line for each request, which is one a second.
     logging.getLogger("httpx").setLevel(logging.WARNING)
     bound = bind(listen or settings.listen)
     say(f"dashboard at {url_of(bound)}, of {', '.join(str(service) for service in services)}")
-    notifier = process.Notifier(os.environ, os.getpid())
+    notifier = process.SystemdNotifier(os.environ, os.getpid())
     parent = sys.stdin.fileno() if with_parent else None
     asyncio.run(serve(bound, services, settings.hosts, SystemClock(), notifier, parent))
 

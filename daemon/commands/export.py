@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.options import CONFIG_VARIABLE, FILES, ForceOption, TableFormat
 from daemon.studies.inputs import instant
@@ -30,7 +30,7 @@ class KindChoice(StrEnum):
 
 
 @app.command(rich_help_panel=FILES)
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def export(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; created if it is missing.")],
     start: Annotated[
@@ -58,14 +58,14 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Write records of the store as tables, even while the service runs."""
-    from daemon.commands.archive.readable import readable
+    from daemon.commands.archive.readable import open_store_or_archive
     from daemon.store.export import export as write_tables
 
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     kinds = [one.value for one in kind or []]
     ends_s = -math.inf if first is None else first.timestamp(), math.inf if last is None else last.timestamp()
-    with readable(store_directory("export", store, config), lambda _: ends_s) as (directory, _):
+    with open_store_or_archive(store_directory("export", store, config), lambda _: ends_s) as (directory, _):
         found = write_tables(directory, out, table_format.value, first, last, kinds, force=force, needs_records=True)
     if as_json:
         print_json({"simulated": found.simulated, "tables": out, "format": table_format, "rows": found.rows})
@@ -82,10 +82,10 @@ def store_directory(command: str, store: str | None, config: Path | None) -> str
         return store
     if store is not None or config is None:
         raise UserError(f"{command} needs either --store DIR or --config FILE to find the store, or {CONFIG_VARIABLE}")
-    from daemon.commands.kept import records_of
+    from daemon.commands.kept import find_records_folder
     from daemon.config.file import load_settings
 
-    directory = records_of(load_settings(config), config, os.environ)
+    directory = find_records_folder(load_settings(config), config, os.environ)
     if directory is None:
         raise UserError(f"{config} sets no store.directory, and its rig is simulated: its service keeps no records")
     return str(directory)

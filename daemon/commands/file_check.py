@@ -36,16 +36,16 @@ def check_file(
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import KeyFileError, load_key
-    from daemon.commands.kept import with_records
+    from daemon.commands.kept import with_records_folder
     from daemon.config.file import ConfigError, load_settings_with_topics
-    from daemon.config.section import beside
+    from daemon.config.section import resolve_file_paths
     from daemon.cube.calibration import calibration_to_run
     from daemon.mqtt.credentials import CredentialsError, load_user, tls_context
-    from daemon.mqtt.topics import unusable
+    from daemon.mqtt.topics import find_topic_errors
     from daemon.notify.recipients import recipients_of
 
     role = role or unit_role(path)
-    settings = with_records(load_settings_with_topics(path, unusable), path, os.environ)
+    settings = with_records_folder(load_settings_with_topics(path, find_topic_errors), path, os.environ)
     problems = []
     if role is not RoleChoice.tracker:
         # The calibration file is on the machine that reads the cube.
@@ -74,7 +74,7 @@ def check_file(
     if settings.notify.people_file is not None:
         try:
             # Relative to the configuration file, as in heliocube notify.
-            recipients_of(beside(path, settings.notify).people_file)
+            recipients_of(resolve_file_paths(path, settings.notify).people_file)
         except UserError as error:
             problems.append(str(error))
     weather = settings.simulation.weather
@@ -84,16 +84,16 @@ def check_file(
         try:
             check_weather_file(weather)
             # Import late: the reader of weather takes seconds to load.
-            from daemon.rigs.measured import measured_weather
+            from daemon.rigs.measured import read_weather
 
-            measured_weather(weather)
+            read_weather(weather)
         except UserError as error:
             problems.append(f"simulation.weather: {error}")
     if settings.store.directory is not None:
         problems += _unwritable(settings.store.directory)
     # On the simulated rig every file can run in the role both. To check that would take longer than all the rest.
     if settings.real or role is not None:
-        found = lacking_by_role(settings)
+        found = missing_requirements_by_role(settings)
         asked = list(found) if role is None else [role]
         if all(found[each] for each in asked):
             roles: dict[str, list[str]] = {}
@@ -112,17 +112,17 @@ def check_file(
     return settings
 
 
-def lacking_by_role(settings: "Settings") -> dict[RoleChoice, list[str]]:
+def missing_requirements_by_role(settings: "Settings") -> dict[RoleChoice, list[str]]:
     """Return for each role why it cannot run with these settings; an empty list if it can."""
-    from daemon.commands.run import lacking
+    from daemon.commands.run import missing_requirements
     from daemon.service.rig import Role
 
-    return {role: lacking(settings, Role(role.value)) for role in RoleChoice}
+    return {role: missing_requirements(settings, Role(role.value)) for role in RoleChoice}
 
 
 def absent_addresses(settings: "Settings") -> list[str]:
     """Return a sentence for each address to listen on that this machine does not have now: a service waits for it."""
-    from daemon.base.addresses import is_here, parse_address
+    from daemon.base.addresses import is_local_address, parse_address
 
     bridge = settings.bridge
     named = {"bridge.listen": bridge.listen}
@@ -137,7 +137,7 @@ def absent_addresses(settings: "Settings") -> list[str]:
         f"{key}: {parse_address(text).host} is not an address of this machine now; until it is, a service"
         " waits for it and receives nothing there"
         for key, text in named.items()
-        if not is_here(parse_address(text))
+        if not is_local_address(parse_address(text))
     ]
 
 

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daemon.store.place import default_place, to_read
+from daemon.store.place import default_records_folder, records_folder_to_read
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for scientific libraries.
     from daemon.config.settings import Settings
 
 
-def with_place(settings: "Settings", file: Path | None, environment: Mapping[str, str]) -> "Settings":
+def with_default_store_folder(settings: "Settings", file: Path | None, environment: Mapping[str, str]) -> "Settings":
     """Return the settings with a folder for the records and state of a service on real instruments.
 
     Parameters
@@ -25,18 +25,18 @@ def with_place(settings: "Settings", file: Path | None, environment: Mapping[str
     """
     if settings.store.directory is not None or not settings.real or file is None:
         return settings
-    store = settings.store.model_copy(update={"directory": default_place(file, environment)})
+    store = settings.store.model_copy(update={"directory": default_records_folder(file, environment)})
     return settings.model_copy(update={"store": store})
 
 
-def records_of(settings: "Settings", file: Path, environment: Mapping[str, str]) -> Path | None:
+def find_records_folder(settings: "Settings", file: Path, environment: Mapping[str, str]) -> Path | None:
     """Return the folder in which the service of a file keeps its records, to read them; None if it keeps none."""
     if settings.store.directory is not None or not settings.real:
         return settings.store.directory
-    return to_read(file, environment)
+    return records_folder_to_read(file, environment)
 
 
-def with_records(settings: "Settings", file: Path, environment: Mapping[str, str]) -> "Settings":
+def with_records_folder(settings: "Settings", file: Path, environment: Mapping[str, str]) -> "Settings":
     """Return the settings with the folder in which the service of a file keeps its records, to read them."""
-    store = settings.store.model_copy(update={"directory": records_of(settings, file, environment)})
+    store = settings.store.model_copy(update={"directory": find_records_folder(settings, file, environment)})
     return settings.model_copy(update={"store": store})

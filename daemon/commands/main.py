@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands import alarms, dashboard, export, operate, probe, store, tools
 from daemon.commands import config as config_commands
 from daemon.commands.answers import JsonOption, print_json, say
@@ -36,8 +36,8 @@ from daemon.commands.options import (
     TableFormat,
     ZoneOption,
     checked_seed,
-    refuse_repeated,
-    refuse_underscores,
+    refuse_repeated_options,
+    refuse_underscores_in_numbers,
     show_values_in_words,
 )
 from daemon.commands.progress import progress_bar
@@ -46,18 +46,18 @@ from daemon.commands.status import command as status_command
 from daemon.commands.studies import calibrate, campaign, compare, energy, gain, samples
 from daemon.commands.studies import report as reports
 from daemon.commands.studies.simulate import (
-    after_tables,
+    check_report_and_zone,
     checked_pictures,
-    checked_report,
     draw_pictures,
+    explain_missing_pages,
+    missing_page_clause,
     page_of,
+    print_summary,
+    print_written_paths,
     replay,
-    report,
-    tell_pages,
-    without_page,
 )
 from daemon.commands.upgrade import command as upgrade_command
-from daemon.studies.inputs import instant, of_several, settings_for, site_values
+from daemon.studies.inputs import instant, settings_for, site_values, with_identical_trackers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -78,10 +78,10 @@ class _Commands(TyperGroup):
         except typer.BadParameter as error:
             from pydantic import ValidationError
 
-            from daemon.config.section import in_words
+            from daemon.config.section import describe_error
 
             if isinstance(error.__cause__, ValidationError):
-                error.message = in_words(error.__cause__.errors()[0])
+                error.message = describe_error(error.__cause__.errors()[0])
             raise
 
 
@@ -89,8 +89,8 @@ class _Commands(TyperGroup):
 _CACHE_FOLDER_VARIABLE = "MPLCONFIGDIR"
 
 show_values_in_words()
-refuse_repeated()
-refuse_underscores()
+refuse_repeated_options()
+refuse_underscores_in_numbers()
 app = typer.Typer(
     cls=_Commands,
     help="Control service for dual-axis sun trackers that point by a radiometric cube.\n\n"
@@ -171,7 +171,7 @@ def run(
     ] = False,
 ) -> None:
     """Run the service until Ctrl-C, SIGTERM or SIGHUP: read the cube, decide, move the tracker."""
-    from daemon.config.file import on_a_port_of_its_own
+    from daemon.config.file import with_loopback_bridge
 
     settings = _settings(
         config,
@@ -185,7 +185,7 @@ def run(
         positioner=positioner,
     )
     if config is None and role is RoleChoice.both:
-        settings = on_a_port_of_its_own(settings)
+        settings = with_loopback_bridge(settings)
     if settings.instruments.kind == "real":
         _refuse_simulation({"--speed": speed, "--start": start, "--weather": weather, "--seed": seed})
     with contextlib.ExitStack() as stack:
@@ -196,15 +196,17 @@ def run(
         if with_dashboard:
             stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
         # Only now: a mistake in an option or in the file is reported before scientific libraries are loaded.
-        from daemon.commands.kept import with_place
+        from daemon.commands.kept import with_default_store_folder
         from daemon.commands.run import run_service
         from daemon.service.rig import Role
 
-        run_service(with_place(settings, config, os.environ), Role(role), for_s, Console(markup=False), config)
+        run_service(
+            with_default_store_folder(settings, config, os.environ), Role(role), for_s, Console(markup=False), config
+        )
 
 
 @app.command(rich_help_panel=SERVICE)
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def simulate(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables; created if it is missing.")],
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-14.")],
@@ -244,12 +246,12 @@ def simulate(
         config, weather=weather, law=law, site=site, seed=seed, speed=None, start=None, cube=cube, positioner=positioner
     )
     if trackers is not None:
-        settings = of_several(settings, trackers)
+        settings = with_identical_trackers(settings, trackers)
     begin = instant(start, "--start")
     check_tables(out, table_format.value, force=force)
     drawn = checked_pictures(plot, settings, force=force)
     span = (begin.timestamp(), begin.timestamp() + days * 86400.0)
-    local = checked_report(report_to, zone, settings, span, force=force)
+    local = check_report_and_zone(report_to, zone, settings, span, force=force)
     from daemon.studies.simulate import simulate as run_simulation
 
     console = Console(stderr=True)
@@ -257,10 +259,10 @@ def simulate(
         summary = run_simulation(settings, begin, days, out, table_format.value, progress, force=force)
     pages: Sequence[Path] = ()
     if not as_json:
-        report(summary, settings, out)
+        print_summary(summary, settings, out)
     ended = summary.interrupted_utc_s
     kept = f"the tables in {out} are whole" if ended is None else f"the tables end at {iso_utc(ended)[:19]}Z"
-    with after_tables(kept):
+    with explain_missing_pages(kept):
         if drawn:
             draw_pictures(drawn, settings, out, local)
             pages = drawn
@@ -272,9 +274,9 @@ def simulate(
     if as_json:
         print_json(page_of(summary, settings, out, pages))
     else:
-        tell_pages(pages)
+        print_written_paths(pages)
     if ended is not None:
-        raise InterruptedEarlyError(f"interrupted: {kept}{without_page(report_to)}")
+        raise InterruptedEarlyError(f"interrupted: {kept}{missing_page_clause(report_to)}")
 
 
 app.add_typer(dashboard.app)
@@ -319,7 +321,7 @@ def bench(
         positioner=positioner,
         rotctld=rotctld,
     )
-    tools.serve(settings, directory)
+    tools.run_bench_server(settings, directory)
 
 
 def _settings(

@@ -49,7 +49,7 @@ def _add_plain_command(name: str, meaning: str) -> None:
             raise UserError(
                 f"nothing is done: '{name}' takes no name; for one of several trackers add --tracker {context.args[0]}"
             )
-        give(name, config, api, token_file, why, tracker, as_json=as_json)
+        send_command(name, config, api, token_file, why, tracker, as_json=as_json)
 
 
 _add_plain_command("stow", "Go to the stow position now and stay there until 'auto'.")
@@ -76,7 +76,7 @@ def goto(
     as_json: JsonOption = False,
 ) -> None:
     """Go to a position inside the limits and stay there until 'auto'."""
-    give("goto", config, api, token_file, why, tracker, as_json=as_json, a_deg=a_deg, b_deg=b_deg)
+    send_command("goto", config, api, token_file, why, tracker, as_json=as_json, a_deg=a_deg, b_deg=b_deg)
 
 
 _add_plain_command("home", "Clear faults and make a reference run: both axes move over their whole range.")
@@ -84,7 +84,7 @@ _add_plain_command("clear", "Clear the faults and doubts that are shown, without
 _add_plain_command("relearn", "Forget what the law has learned of the site.")
 
 
-def give(
+def send_command(
     name: str,
     config: Path | None,
     api: str | None,
@@ -96,19 +96,19 @@ def give(
     **arguments: float | str,
 ) -> None:
     """Give a command to the service, print the answer and leave with its exit code."""
-    from daemon.api.client import find
-    from daemon.commands.status.times import in_local
+    from daemon.api.client import find_service
+    from daemon.commands.status.times import localise_times
 
     which = {} if tracker is None else {"tracker": tracker}
     if why:
         which["why"] = why
     try:
-        reply = find(config, api, token_file).command(name, **which, **arguments)
+        reply = find_service(config, api, token_file).command(name, **which, **arguments)
     except UserError as error:
-        error.args = (in_local(str(error)),)
+        error.args = (localise_times(str(error)),)
         raise
     if as_json:
         print_json(reply.page)
     else:
-        say(in_local(reply.text))
+        say(localise_times(reply.text))
     raise typer.Exit(reply.exit_code)

@@ -44,7 +44,7 @@ PositionerOption = Annotated[
 ]
 CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 # Where deploy/ puts the configurations; each is read by the unit of its role.
-INSTALLED = Path("/etc/heliocube")
+CONFIG_FOLDER = Path("/etc/heliocube")
 ConfigOption = Annotated[
     Path | None,
     typer.Option(
@@ -118,7 +118,7 @@ def _value_in_words(option: TyperOption, ctx: Any) -> str | None:
     return "NUMBER" if kind.is_ranged or kind.annotation in (int, float) else "TEXT"
 
 
-def refuse_repeated() -> None:
+def refuse_repeated_options() -> None:
     """Let every command refuse an option given twice if both values may be meant: only the last one would count."""
     make_parser = TyperCommand.make_parser
 
@@ -143,7 +143,7 @@ def refuse_repeated() -> None:
     TyperCommand.make_parser = make  # type: ignore[method-assign,assignment]
 
 
-def refuse_underscores() -> None:
+def refuse_underscores_in_numbers() -> None:
     """Let no command take ``1_5`` for 15, as the library does: a person who types it means 1.5 or slips."""
 
     def strictly(process: Any) -> Any:
@@ -182,7 +182,7 @@ class RoleChoice(StrEnum):
 def unit_role(file: Path) -> RoleChoice | None:
     """Return the role in which an installed unit starts a configuration, or None if no unit does."""
     units = (RoleChoice.tracker, RoleChoice.cube)
-    return next((role for role in units if file.absolute() == INSTALLED / f"{role}.toml"), None)
+    return next((role for role in units if file.absolute() == CONFIG_FOLDER / f"{role}.toml"), None)
 
 
 class TableFormat(StrEnum):

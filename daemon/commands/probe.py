@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
-from daemon.commands.answers import JsonOption, print_json, teller
+from daemon.commands.answers import JsonOption, message_printer, print_json
 from daemon.commands.options import CONFIG_VARIABLE, CubeOption, TrackerOption
-from daemon.commands.recording import recorded
+from daemon.commands.recording import record_transcript
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
@@ -55,8 +55,8 @@ def positioner(
     from daemon.rigs.probe_positioner import probe_positioner
 
     settings = _settings(config, "positioner", {"port": port}, tracker, kept=move_deg is not None)
-    say = teller(as_json=as_json)
-    with recorded(record) as tap:
+    say = message_printer(as_json=as_json)
+    with record_transcript(record) as tap:
         _run(probe_positioner(settings, SystemClock(), seconds, move_deg, tap, say), as_json=as_json, tracker=tracker)
 
 
@@ -75,8 +75,8 @@ def voltmeter(
     from daemon.rigs.probe_cube import probe_voltmeter
 
     settings = _settings(config, "voltmeter", {"resource": resource})
-    say = teller(as_json=as_json)
-    with recorded(record) as tap:
+    say = message_printer(as_json=as_json)
+    with record_transcript(record) as tap:
         _run(
             probe_voltmeter(settings, SystemClock().monotonic, tap, say, write=write),
             as_json=as_json,
@@ -95,8 +95,8 @@ def multiplexer(
     from daemon.rigs.probe_cube import probe_multiplexer
 
     settings = _settings(config, "multiplexer", {"server": server})
-    say = teller(as_json=as_json)
-    with recorded(record) as tap:
+    say = message_printer(as_json=as_json)
+    with record_transcript(record) as tap:
         _run(probe_multiplexer(settings, tap, say, write=write), as_json=as_json)
 
 
@@ -127,8 +127,8 @@ def cube(
     # The file of HELIOCUBE_CONFIG may be for the usual cube, which has no such line.
     chosen = name or ("modbus-pyranometers" if config is None or line is not None else None)
     settings, units = settings_for(config, cube=chosen), unit_range(addresses)
-    say = teller(as_json=as_json)
-    with recorded(record) as tap:
+    say = message_printer(as_json=as_json)
+    with record_transcript(record) as tap:
         probe = ModbusProbe(settings, line, SystemClock(), say, tap)
         _run(probe.set_addresses(_ask, units) if set_address else probe.report(units, clear=clear), as_json=as_json)
 
@@ -166,14 +166,14 @@ def load(
     """Read the electronic load's identity and settings; with --write, trace one curve."""
     from daemon.base.clock import SystemClock
     from daemon.config.file import load_settings, override
-    from daemon.config.settings import Settings, settings_of_one
+    from daemon.config.settings import Settings, settings_of_tracker
     from daemon.rigs.probe_load import probe_load
 
-    settings = settings_of_one(load_settings(config) if config is not None else Settings(), tracker)
+    settings = settings_of_tracker(load_settings(config) if config is not None else Settings(), tracker)
     given = {"resource": resource, "driver": None if driver is None else driver.value}
     settings = override(settings, {"load": {name: value for name, value in given.items() if value is not None}})
-    say = teller(as_json=as_json)
-    with recorded(record) as tap:
+    say = message_printer(as_json=as_json)
+    with record_transcript(record) as tap:
         _run(probe_load(settings, SystemClock().monotonic, tap, say, write=write), as_json=as_json)
 
 
@@ -186,15 +186,15 @@ def _settings(
     kept: bool = False,
 ) -> "Settings":
     """Return the settings for one instrument; with `kept`, also the folder in which its service keeps its state."""
-    from daemon.commands.kept import with_records
+    from daemon.commands.kept import with_records_folder
     from daemon.config.file import load_settings, override
-    from daemon.config.settings import Settings, settings_of_one
+    from daemon.config.settings import Settings, settings_of_tracker
 
     settings = load_settings(config) if config is not None else Settings()
     if kept and config is not None:
-        settings = with_records(settings, config, os.environ)
+        settings = with_records_folder(settings, config, os.environ)
     if instrument == "positioner":
-        settings = settings_of_one(settings, tracker)
+        settings = settings_of_tracker(settings, tracker)
     changes = settings.instruments.model_dump()
     changes[instrument] |= {name: value for name, value in given.items() if value is not None}
     return override(settings, {"instruments": changes})
@@ -202,15 +202,15 @@ def _settings(
 
 def _run(work: Coroutine[Any, Any, dict[str, Any]], *, as_json: bool, tracker: str | None = None) -> None:
     """Run the probe; an error of the instrument gives one sentence and exit code 2."""
-    from daemon.base.alarms.kinds import as_typed
-    from daemon.base.process import as_ctrl_c
+    from daemon.base.alarms.kinds import with_tracker_option
+    from daemon.base.process import signals_as_ctrl_c
     from drivers.errors import DeviceError
 
     try:
         # An axis that moves must be stopped, whatever ends the program.
-        with as_ctrl_c():
+        with signals_as_ctrl_c():
             found = asyncio.run(work)
     except DeviceError as error:
-        raise UserError(as_typed(str(error), tracker)) from error
+        raise UserError(with_tracker_option(str(error), tracker)) from error
     if as_json:
         print_json(found)

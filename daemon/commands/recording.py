@@ -7,11 +7,11 @@ from pathlib import Path
 
 from daemon.base.clock import SystemClock, iso_utc
 from daemon.base.errors import UserError
-from drivers.transcript import Direction, Piece, Tap, line_of, no_tap
+from drivers.transcript import Direction, Tap, TranscriptEntry, line_of, no_tap
 
 
 @contextmanager
-def recorded(path: Path | None) -> Iterator[Tap]:
+def record_transcript(path: Path | None) -> Iterator[Tap]:
     """Yield a tap that writes a transcript to a new file, from any thread; with None it writes nothing.
 
     Raises
@@ -43,7 +43,7 @@ def recorded(path: Path | None) -> Iterator[Tap]:
     def tap(direction: Direction, data: bytes) -> None:
         # Two threads call this, one for what is sent and one for what is received; a text file takes one at a time.
         with one:
-            write(line_of(Piece(clock.monotonic() - start_s, direction, data)) + "\n")
+            write(line_of(TranscriptEntry(clock.monotonic() - start_s, direction, data)) + "\n")
 
     write(f"# heliocube probe, {iso_utc(clock.utc())}\n")
     try:

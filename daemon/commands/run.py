@@ -23,14 +23,14 @@ from daemon.base import process
 from daemon.base.clock import Clock, LoopClock, SystemClock, iso_utc
 from daemon.base.errors import UserError
 from daemon.base.installation import release
-from daemon.base.process import Notifier, on_signals
+from daemon.base.process import SystemdNotifier, on_signals
 from daemon.base.records import Bus, Event
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import new_loop
 from daemon.bridge.key_file import KeyFileWatch
 from daemon.bridge.signing import generate_key, load_keys
 from daemon.commands.status.live import LiveView
-from daemon.commands.status.log_above import LogAbove
+from daemon.commands.status.log_above import ScreenLogStream
 from daemon.config.settings import Settings
 from daemon.config.simulation import DEFAULT_START
 from daemon.cube.calibration import calibration_to_run
@@ -38,13 +38,13 @@ from daemon.mqtt.companion import Mqtt, links
 from daemon.rigs.real import build_real_rig
 from daemon.service.health import LoopWatch
 from daemon.service.operator_commands import Operators
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Rig, Role
 from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
-from daemon.store.place import claimed
-from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, Releases
+from daemon.store.place import lock_folder
+from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, ReleaseWatch
 from daemon.store.settings_kept import CUBE_FILE_NAME as CUBE_SETTINGS_NAME
 from daemon.store.settings_kept import FILE_NAME as SETTINGS_NAME
 from daemon.store.settings_kept import tell_changes
@@ -73,8 +73,8 @@ def run_service(
     keys = bridge_keys(settings, role)
     calibration = None if role is Role.TRACKER else calibration_to_run(settings)
     journal = "JOURNAL_STREAM" in os.environ
-    process.configure(
-        LogAbove(console) if console.is_terminal and sys.stderr.isatty() else sys.stderr,
+    process.configure_logging(
+        ScreenLogStream(console) if console.is_terminal and sys.stderr.isatty() else sys.stderr,
         journal=journal,
         level=logging.WARNING if console.is_terminal else logging.INFO,
     )
@@ -82,7 +82,7 @@ def run_service(
     speed = 1.0 if settings.real else settings.simulation.speed
     roles = (Role.CUBE, Role.TRACKER) if role is Role.BOTH else (role,)
     with (
-        claimed(settings.store.directory, tuple(each.value for each in roles)),
+        lock_folder(settings.store.directory, tuple(each.value for each in roles)),
         asyncio.Runner(loop_factory=lambda: new_loop(speed)) as runner,
     ):
         loop = runner.get_loop()
@@ -90,11 +90,11 @@ def run_service(
         clock = _clock(settings, loop)
         rig = _rig(settings, role, clock, (for_s or 0.0) * speed)
         bus = Bus()
-        recent = Recent(several=len(settings.trackers) > 1)
+        recent = RecentRecords(several=len(settings.trackers) > 1)
         bus.subscribe(recent.note)
         mqtt = links(settings, role, clock, SystemRandom(), bus.publish, speed)
         name = CUBE_FILE_NAME if role is Role.CUBE else FILE_NAME
-        releases = Releases(StateFolder(settings.store.directory, behind=True), name, release(), clock, bus.publish)
+        releases = ReleaseWatch(StateFolder(settings.store.directory, behind=True), name, release(), clock, bus.publish)
         service = Service(
             settings,
             role,
@@ -103,7 +103,7 @@ def run_service(
             SystemRandom(),
             bus,
             keys[0] if keys else None,
-            Notifier(os.environ, os.getpid()),
+            SystemdNotifier(os.environ, os.getpid()),
             speed,
             calibration,
             stow_sources={name: link.stow_sources() for name, link in mqtt.items()},
@@ -138,9 +138,9 @@ def run_service(
             # In a journal the log is enough; status lines would only fill it.
             view = None if journal else LiveView(lambda: state_json(see()), console, speed)
             companions = (view, api, _sunspec(service, speed, see), key_file, service.loop_watch, *mqtt.values())
-            process.keep_start()
+            process.freeze_startup_objects()
             runner.run(_run(service, for_s, speed, releases, companions))
-    moving = [each.name for each in service.trackers if not each.left_standing]
+    moving = [each.name for each in service.trackers if not each.is_stop_confirmed]
     stands = f"; motion is NOT known to be stopped: {', '.join(moving)}" if moving else "; motion is stopped"
     _print(console, f"ended at {iso_utc(clock.utc())[:19]}Z{stands if service.trackers else ''}")
 
@@ -152,7 +152,7 @@ def _print(console: Console, text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
 
-def lacking(settings: Settings, role: Role) -> list[str]:
+def missing_requirements(settings: Settings, role: Role) -> list[str]:
     """Return why a role cannot run with these settings, as far as that is known without devices; empty if it can."""
     needed: list[Callable[[], object]] = [partial(bridge_keys, settings, role)]
     if settings.real:
@@ -256,7 +256,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
         longitude_deg=site.longitude_deg,
         altitude_m=site.altitude_m,
         # In a run of several trackers each record has the name of its own tracker.
-        tracker="" if len(service.settings.trackers) > 1 else role.known_as(service.settings.mqtt.name),
+        tracker="" if len(service.settings.trackers) > 1 else role.name_or_default(service.settings.mqtt.name),
         id=new_run_id(),
     )
     store = Store(settings.directory, settings.batch_s, settings.keep_days, origin, service.clock, publish, alarm)
@@ -272,7 +272,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
 
 def _api(
     service: Service,
-    recent: Recent,
+    recent: RecentRecords,
     speed: float,
     see: Callable[[], Snapshot],
     glance: Callable[[], Snapshot],
@@ -318,7 +318,7 @@ async def _run(
     service: Service,
     for_s: float | None,
     speed: float,
-    releases: Releases,
+    releases: ReleaseWatch,
     companions: Iterable[LiveView | ApiServer | SunSpecServer | KeyFileWatch | LoopWatch | Mqtt | None],
 ) -> None:
     stop = asyncio.Event()
@@ -327,4 +327,4 @@ async def _run(
         if for_s is not None:
             loop.call_later(for_s * speed, end)
         running = (companion.run() for companion in companions if companion is not None)
-        await service.run(stop, releases.run(lambda: service.all_is_kept), *running)
+        await service.run(stop, releases.run(lambda: service.is_everything_saved), *running)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from daemon.base.words import counted
-from daemon.commands.answers import JsonOption, goes_on_later, print_json, say
+from daemon.base.words import pluralise
+from daemon.commands.answers import JsonOption, explain_interruption, print_json, say
 
 app = typer.Typer(help="Work on the file of the records: salvage what a damaged one still holds.", no_args_is_help=True)
 
@@ -31,14 +31,14 @@ def salvage(
     """Write what can be read from a store into another one, even while the service runs."""
     from rich.console import Console
 
-    from daemon.base.process import as_ctrl_c
+    from daemon.base.process import signals_as_ctrl_c
     from daemon.commands.progress import progress_bar
     from daemon.store.salvage import salvage as write_records
 
     # SIGTERM and SIGHUP end it like Ctrl-C: otherwise a copy as large as the store would be left behind.
     with (
-        goes_on_later(f"what was read so far is in {into}"),
-        as_ctrl_c(),
+        explain_interruption(f"what was read so far is in {into}"),
+        signals_as_ctrl_c(),
         progress_bar(Console(stderr=True), "salvaging") as progress,
     ):
         found = write_records(file, into, progress)
@@ -49,5 +49,5 @@ def salvage(
     state = "is damaged" if found.damaged else "is whole"
     say(f"{file} {state}: {counts} could be read; {sum(found.added.values())} of them are new in {into}")
     if found.missing:
-        missing = counted(found.missing, "record between them is", "records between them are")
+        missing = pluralise(found.missing, "record between them is", "records between them are")
         say(f"{missing} missing: unreadable here, or in another store")

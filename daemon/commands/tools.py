@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.commands.answers import JsonOption, print_json, say
 
 if TYPE_CHECKING:
@@ -91,10 +91,10 @@ def send_csv(
     if as_json:
         print_json({"scans": sent, "sent_to": bridge.send_to})
         return
-    Console().print(f"{counted(sent, 'scan')} sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
+    Console().print(f"{pluralise(sent, 'scan')} sent to {', '.join(bridge.send_to)}", markup=False, highlight=False)
 
 
-def serve(settings: "Settings", directory: Path) -> None:
+def run_bench_server(settings: "Settings", directory: Path) -> None:
     """Run the bench; raises `UserError` on a machine that cannot have one."""
     from daemon.store.outputs import check_folder
 

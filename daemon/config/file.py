@@ -11,23 +11,23 @@ from pydantic import BaseModel, ValidationError
 
 from daemon.base.errors import UserError
 from daemon.base.files import parse_toml, toml_text
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.config import keys, rules
-from daemon.config.keys import Chosen
-from daemon.config.plugged import DRIVER, SECTIONS, Wrong, settled
-from daemon.config.section import whole_path
+from daemon.config.keys import Drivers
+from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS, SectionProblem, validate_plugin_sections
+from daemon.config.section import resolve_path
 from daemon.config.sections import Sections
 from daemon.config.settings import NamedSettings, Settings
 from daemon.config.trackers import (
     NAME_FORM,
     NAME_IN_WORDS,
-    PARTS,
+    TRACKER_SECTIONS,
     TrackerTable,
     clashes,
-    merged,
-    place_in_table,
-    resembling,
-    without,
+    merge_tracker_table,
+    path_in_tracker_table,
+    remove_keys,
+    unknown_section_remedy,
 )
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ class ConfigError(UserError):
     """
 
     def __init__(self, source: str, problems: list[str]) -> None:
-        super().__init__("\n  ".join([f"{source} has {counted(len(problems), 'problem')}:", *problems]))
+        super().__init__("\n  ".join([f"{source} has {pluralise(len(problems), 'problem')}:", *problems]))
         self.problems = tuple(problems)
 
 
@@ -116,17 +116,17 @@ def override(settings: Settings, changes: Mapping[str, Mapping[str, Any]], to_co
     """
     raw = settings.model_dump()
     for section, values in changes.items():
-        if section in SECTIONS:
-            raw[section] = SECTIONS[section].changed(getattr(settings, section), values)
+        if section in PLUGIN_SECTIONS:
+            raw[section] = PLUGIN_SECTIONS[section].table_with_changes(getattr(settings, section), values)
         else:
             raw[section] |= values
         for table in raw["tracker"]:
             # The changes hold for every tracker, whatever its own table says.
-            without(table, section, values)
+            remove_keys(table, section, values)
     return _settings(raw, "what was asked for", to_come=to_come)
 
 
-def on_a_port_of_its_own(settings: Settings, *, insecure: bool = False) -> Settings:
+def with_loopback_bridge(settings: Settings, *, insecure: bool = False) -> Settings:
     """Return the settings with the bridge inside one process, on whatever loopback port is free.
 
     Parameters
@@ -204,28 +204,28 @@ def _tracker_problems(
     for number, table in enumerate(tables):
         name = table.get("name")
         if not isinstance(name, str) or not re.fullmatch(NAME_FORM, name):
-            shown = "" if name is None else f" = {keys.shown(name)}"
+            shown = "" if name is None else f" = {keys.quoted(name)}"
             yield _Problem(f"tracker[{number}].name", f"{shown}: every tracker has a name, {NAME_IN_WORDS}")
             continue
         if name.lower() in names:
-            yield _Problem(f"tracker[{number}].name", f" = {keys.shown(name)}: is the name of another tracker already")
+            yield _Problem(f"tracker[{number}].name", f" = {keys.quoted(name)}: is the name of another tracker already")
         names.add(name.lower())
-        settings, problems = _settings_and_problems(merged(raw, table))
+        settings, problems = _settings_and_problems(merge_tracker_table(raw, table))
         found.append(NamedSettings(name, settings))
-        for key in table.keys() - {"name", *PARTS}:
-            yield _Problem(f"tracker[{name}].{key}", f": a tracker has no such section; {resembling(key)}")
+        for key in table.keys() - {"name", *TRACKER_SECTIONS}:
+            yield _Problem(f"tracker[{name}].{key}", f": a tracker has no such section; {unknown_section_remedy(key)}")
         for problem in problems:
             if problem not in known:
-                yield _Problem(f"tracker[{name}].{place_in_table(problem.key)}", problem.reason)
+                yield _Problem(f"tracker[{name}].{path_in_tracker_table(problem.key)}", problem.reason)
     for clash in clashes(latitude_deg, found):
-        yield _Problem(f"tracker[{clash.tracker}].{clash.key}", f" = {keys.shown(clash.value)}: {clash.reason}")
+        yield _Problem(f"tracker[{clash.tracker}].{clash.key}", f" = {keys.quoted(clash.value)}: {clash.reason}")
 
 
 def _settings_and_problems(
     raw: dict[str, Any], unusable: Callable[[Settings], Iterable[str]] = lambda _: (), to_come: Collection[str] = ()
 ) -> tuple[Settings, list[_Problem]]:
     """Return the settings of all that is right in the sections of a file, and everything that is wrong with them."""
-    tables, chosen, wrong_in_drivers = settled(raw)
+    tables, chosen, wrong_in_drivers = validate_plugin_sections(raw)
     unknown = [name for name in raw if name not in Sections.model_fields]
     problems = [_unknown_key_problem("", name, raw[name], chosen) for name in unknown[:_MOST_REMEDIES]]
     problems += [_Problem(keys.toml_name(name), ": there is no such key") for name in unknown[_MOST_REMEDIES:]]
@@ -250,13 +250,13 @@ def _settings_and_problems(
     wrong = {key.partition("[")[0] for each in problems for key in (each.key, each.meant) if key}.union(to_come)
     for conflict in rules.conflicts(settings):
         if not any(keys.covers(key, part) for key in wrong for part in (conflict.key, *conflict.others)):
-            shown = keys.shown(_value_of(settings, conflict.key))
+            shown = keys.quoted(_value_of(settings, conflict.key))
             default = "" if _is_given(raw, conflict.key) else " (default)"
             problems.append(_Problem(conflict.key, f" = {shown}{default}: {conflict.reason}"))
     return settings, problems
 
 
-def _problems(error: ValidationError, section: str, chosen: Chosen) -> Iterator[_Problem]:
+def _problems(error: ValidationError, section: str, chosen: Drivers) -> Iterator[_Problem]:
     for number, item in enumerate(error.errors(include_url=False, include_context=False)):
         if number >= _MOST_REMEDIES:
             yield _Problem(_path((section, *item["loc"]), chosen), _AND_MORE)
@@ -265,31 +265,31 @@ def _problems(error: ValidationError, section: str, chosen: Chosen) -> Iterator[
         yield _problem((section, *item["loc"]), item["input"], kind, chosen)
 
 
-def _driver_problem(section: str, wrong: Wrong, chosen: Chosen) -> _Problem:
+def _driver_problem(section: str, wrong: SectionProblem, chosen: Drivers) -> _Problem:
     """Return what is wrong in a section that belongs to a driver."""
     if wrong.kind == "other":
         path = _joined(section, ".".join(str(part) for part in wrong.loc))
-        return _Problem(path, f" = {keys.shown(wrong.value)}: {wrong.reason}")
+        return _Problem(path, f" = {keys.quoted(wrong.value)}: {wrong.reason}")
     loc: tuple[int | str, ...] = (*section.split("."), *wrong.loc)
-    former = SECTIONS[section].former
+    former = PLUGIN_SECTIONS[section].former
     if wrong.kind == "value" and wrong.loc == (former,):
         # The former key takes the same values as the key that replaces it.
         return _Problem(f"{section}.{former}", _wrong_value_text(f"{section}.{DRIVER}", wrong.value, chosen))
     if wrong.kind == "unknown" and [str(part).lower() for part in wrong.loc] == [former]:
         meant = f"{section}.{DRIVER}"
-        reason = f" = {keys.shown(wrong.value)}: there is no such key; did you mean {meant}?"
+        reason = f" = {keys.quoted(wrong.value)}: there is no such key; did you mean {meant}?"
         return _Problem(_joined(section, str(wrong.loc[0])), reason, meant)
     return _problem(loc, wrong.value, wrong.kind, chosen)
 
 
-def _problem(loc: tuple[int | str, ...], value: Any, kind: Literal["unknown", "value"], chosen: Chosen) -> _Problem:
+def _problem(loc: tuple[int | str, ...], value: Any, kind: Literal["unknown", "value"], chosen: Drivers) -> _Problem:
     if kind == "unknown":
         return _unknown_key_problem(_path(loc[:-1], chosen), str(loc[-1]), value, chosen)
     path = _path(loc, chosen)
     return _Problem(path, _wrong_value_text(path, value, chosen))
 
 
-def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
+def _path(loc: tuple[int | str, ...], chosen: Drivers) -> str:
     """Return the key's path; what pydantic adds behind it to name the part of a union is dropped."""
     path, known = str(loc[0]), keys.keys(chosen)
     for part in loc[1:]:
@@ -299,27 +299,27 @@ def _path(loc: tuple[int | str, ...], chosen: Chosen) -> str:
     return path
 
 
-def _wrong_value_text(path: str, value: Any, chosen: Chosen) -> str:
+def _wrong_value_text(path: str, value: Any, chosen: Drivers) -> str:
     key = keys.keys(chosen).get(path.partition("[")[0])
     if key is None:
-        return f" = {keys.shown(value)}: must be a section of its own, [{path}]"
+        return f" = {keys.quoted(value)}: must be a section of its own, [{path}]"
     if "[" in path:
-        return f" = {keys.shown(value)}: must be {key.expected_item}"
-    return f" = {keys.shown(value)}: must be {key.expected}{_hint(key, value)}"
+        return f" = {keys.quoted(value)}: must be {key.expected_item}"
+    return f" = {keys.quoted(value)}: must be {key.expected}{_hint(key, value)}"
 
 
 def _hint(key: keys.Key, value: Any) -> str:
     if not isinstance(value, str):
         return ""
-    names = difflib.get_close_matches(value.lower(), key.names, 1)
+    names = difflib.get_close_matches(value.lower(), key.enum_values, 1)
     if names:
         return f'; did you mean "{names[0]}"?'
-    if key.takes & {"number", "integer"}:
-        number = keys.number_with_unit(value, key)
+    if key.json_types & {"number", "integer"}:
+        number = keys.parse_quantity(value, key)
         return "" if number is None else f"; did you mean {number:.10g}, without quotes?"
-    if key.takes == {"boolean"} and value.lower() in ("true", "false"):
+    if key.json_types == {"boolean"} and value.lower() in ("true", "false"):
         return f"; did you mean {value.lower()}, without quotes?"
-    if key.takes == {"array"}:
+    if key.json_types == {"array"}:
         return f"; did you mean {keys.toml_value([value])}?"
     return ""
 
@@ -329,25 +329,25 @@ def _joined(section: str, name: str) -> str:
     return f"{section}.{written}" if section else written
 
 
-def _unknown_key_problem(section: str, name: str, value: Any, chosen: Chosen) -> _Problem:
+def _unknown_key_problem(section: str, name: str, value: Any, chosen: Drivers) -> _Problem:
     if not section and name == "trackers":
         return _Problem(name, ": there is no such key; did you mean [[tracker]], once for each?")
     what = "there is no such section" if isinstance(value, dict) else "there is no such key"
-    meant = keys.resembling(section, name, chosen)
+    meant = keys.suggest_path(section, name, chosen)
     if meant is None:
         kind = "sections" if isinstance(value, dict) or not section else "keys"
-        known = keys.inside(section, chosen)[kind]
+        known = keys.names_in_section(section, chosen)[kind]
         where = f"the {kind} of [{section}] are" if section else f"the {kind} are"
         remedy = f"{where} {', '.join(known)}" if known else f"[{section}] has no {kind}"
     else:
         wanted, unit = keys.split_unit(meant)[1], keys.split_unit(name)[1]
-        number = keys.converted(value, unit, wanted) if unit != wanted else None
+        number = keys.convert_unit(value, unit, wanted) if unit != wanted else None
         remedy = f"did you mean {meant}{'' if number is None else f' = {number:.10g}'}?"
-    shown = "" if isinstance(value, dict) else f" = {keys.shown(value)}"
+    shown = "" if isinstance(value, dict) else f" = {keys.quoted(value)}"
     return _Problem(_joined(section, name), f"{shown}: {what}; {remedy}", meant)
 
 
-def _without_wrong_keys(given: Any, section: str, wrong: Sequence[str], chosen: Chosen) -> dict[str, Any]:
+def _without_wrong_keys(given: Any, section: str, wrong: Sequence[str], chosen: Drivers) -> dict[str, Any]:
     """Return what is right in a section of the file; `wrong` is sorted, as both may have thousands of keys."""
     if not isinstance(given, dict) or section in wrong:
         return {}
@@ -390,9 +390,9 @@ def _with_whole_paths(settings: Settings, folder: Path, source: str) -> Settings
         path = getattr(getattr(settings, section), name)
         if isinstance(path, Path):
             try:
-                values = {name: whole_path(folder, path)}
+                values = {name: resolve_path(folder, path)}
             except ValueError as error:
-                problems.append(f"{section}.{name} = {keys.shown(str(path))}: {ascii(str(error))[1:-1]}")
+                problems.append(f"{section}.{name} = {keys.quoted(str(path))}: {ascii(str(error))[1:-1]}")
                 continue
             changed[section] = changed.get(section, getattr(settings, section)).model_copy(update=values)
     if problems:

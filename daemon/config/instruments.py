@@ -86,11 +86,11 @@ class Instruments(Section):
     bench: bool = Field(
         False, description="The addresses are a bench's: everything shown and recorded is marked as simulated."
     )
-    cube: Annotated[SerializeAsAny[CubeDriverSettings], BeforeValidator(CUBE.settle)] = Field(
+    cube: Annotated[SerializeAsAny[CubeDriverSettings], BeforeValidator(CUBE.validate)] = Field(
         default_factory=CUBE.defaults
     )
     multiplexer: MultiplexerSettings = MultiplexerSettings()
     voltmeter: VoltmeterSettings = VoltmeterSettings()
-    positioner: Annotated[SerializeAsAny[PositionerSettings], BeforeValidator(POSITIONER.settle)] = Field(
+    positioner: Annotated[SerializeAsAny[PositionerSettings], BeforeValidator(POSITIONER.validate)] = Field(
         default_factory=POSITIONER.defaults
     )

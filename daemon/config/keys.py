@@ -14,11 +14,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from daemon.config.plugged import DRIVER, SECTIONS, Plugged
+from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS, PluginSection
 from daemon.config.sections import Sections
 
 _LONGEST_VALUE = 60
-Chosen = tuple[tuple[str, str], ...]
+Drivers = tuple[tuple[str, str], ...]
 """The path of each section that names a driver, and the driver's name."""
 
 _BARE_NAME = re.compile(r"[A-Za-z0-9_-]+")
@@ -141,12 +141,12 @@ class Key:
         return _UNITS.get(split_unit(self.name)[1], "")
 
     @property
-    def names(self) -> list[str]:
+    def enum_values(self) -> list[str]:
         """The words that the value may be, if it may be one of a few."""
         return [name for part in self._alternatives for name in part.get("enum", ()) if isinstance(name, str)]
 
     @property
-    def takes(self) -> set[str]:
+    def json_types(self) -> set[str]:
         """JSON types of the permitted values."""
         return {str(part["type"]) for part in self._alternatives}
 
@@ -182,7 +182,7 @@ class SettingsTable:
     only_for: str = ""
 
 
-def tables(chosen: Chosen = ()) -> dict[str, SettingsTable]:
+def tables(chosen: Drivers = ()) -> dict[str, SettingsTable]:
     """Return all sections by their path, in the order of the models.
 
     Where drivers know different keys, those of the `chosen` or the default driver come first, then those of the others.
@@ -191,17 +191,17 @@ def tables(chosen: Chosen = ()) -> dict[str, SettingsTable]:
 
 
 @cache
-def _tables(chosen: Chosen, _search_path: tuple[str, ...]) -> dict[str, SettingsTable]:
+def _tables(chosen: Drivers, _search_path: tuple[str, ...]) -> dict[str, SettingsTable]:
     """Walk through all models, once for each search path: a package that is found there may bring drivers."""
     return {table.path: table for table in _walk(Sections(), "", dict(chosen))}
 
 
-def keys(chosen: Chosen = ()) -> dict[str, Key]:
+def keys(chosen: Drivers = ()) -> dict[str, Key]:
     """Return all keys by their path, in the order of the models."""
     return {key.path: key for table in tables(chosen).values() for key in table.keys}
 
 
-def inside(section: str, chosen: Chosen = ()) -> dict[str, list[str]]:
+def names_in_section(section: str, chosen: Drivers = ()) -> dict[str, list[str]]:
     """Return the names of the ``keys`` and of the ``sections`` directly inside a section; ``""`` is the file."""
     known = tables(chosen)
     sections = [path for path in known if path and path.rpartition(".")[0] == section]
@@ -237,7 +237,7 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def converted(value: Any, unit: str, wanted: str) -> float | None:
+def convert_unit(value: Any, unit: str, wanted: str) -> float | None:
     """Return a value in another unit of the same quantity; None where there is none."""
     quantity, factor = _MAGNITUDES.get(unit, ("", 1.0))
     wanted_quantity, wanted_factor = _MAGNITUDES.get(wanted, ("?", 1.0))
@@ -246,7 +246,7 @@ def converted(value: Any, unit: str, wanted: str) -> float | None:
     return float(f"{value * factor / wanted_factor:.10g}")
 
 
-def number_with_unit(text: str, key: Key) -> float | None:
+def parse_quantity(text: str, key: Key) -> float | None:
     """Return the number that ``"54 km/h"`` means for a key, in the key's unit; None where it means none."""
     found = re.fullmatch(r"\s*([-+]?[0-9]+(?:[.,][0-9]+)?)\s*(.*?)\s*", text.replace("−", "-"))
     if found is None:
@@ -254,10 +254,10 @@ def number_with_unit(text: str, key: Key) -> float | None:
     value, unit = float(found[1].replace(",", ".")), found[2].lower().replace("°", "deg").replace("²", "2")
     if unit in ("", key.unit.lower()):
         return value
-    return converted(value, unit.replace("/", "_"), split_unit(key.name)[1])
+    return convert_unit(value, unit.replace("/", "_"), split_unit(key.name)[1])
 
 
-def resembling(section: str, name: str, chosen: Chosen = ()) -> str | None:
+def suggest_path(section: str, name: str, chosen: Drivers = ()) -> str | None:
     """Return the path of the key or section that someone who wrote `name` in `section` most likely meant.
 
     In this order: the same name elsewhere, the same words in another order, the same name with
@@ -306,13 +306,13 @@ def _walk(section: BaseModel, path: str, chosen: Mapping[str, str]) -> Iterator[
     inner = {name: getattr(section, name) for name in type(section).model_fields}
     yield SettingsTable(path, cleandoc(type(section).__doc__ or ""), tuple(_own_keys(section, path)))
     for name, value in inner.items():
-        if prefix + name in SECTIONS:
-            yield from _walk_plugged(SECTIONS[prefix + name], chosen)
+        if prefix + name in PLUGIN_SECTIONS:
+            yield from _walk_plugged(PLUGIN_SECTIONS[prefix + name], chosen)
         elif isinstance(value, BaseModel):
             yield from _walk(value, prefix + name, chosen)
 
 
-def _walk_plugged(plugged: Plugged, chosen: Mapping[str, str]) -> Iterator[SettingsTable]:
+def _walk_plugged(plugged: PluginSection, chosen: Mapping[str, str]) -> Iterator[SettingsTable]:
     """Yield the tables of one section for all drivers together: each key once, that of the chosen driver first."""
     name = chosen.get(plugged.path, plugged.default)
     drivers = {name: plugged.settings_class(name)(), **{other: kind() for other, kind in plugged.others(name)}}
@@ -374,7 +374,7 @@ def _range_words(part: dict[str, Any]) -> str:
     return f"{start} up" if low is not None else start
 
 
-def shown(value: Any) -> str:
+def quoted(value: Any) -> str:
     """Return a value as a file would say it, cut where it is long."""
     return shortened(toml_value(value))
 

@@ -30,14 +30,14 @@ def the_bridge_is_signed_or_not(settings: Sections) -> Iterator[Conflict]:
             return
 
 
-def an_interface_has_a_group(settings: Sections) -> Iterator[Conflict]:
+def multicast_interface_has_group(settings: Sections) -> Iterator[Conflict]:
     """`bridge.multicast_interface` is allowed only with `bridge.multicast_group`."""
     if settings.bridge.multicast_interface is not None and settings.bridge.multicast_group is None:
         reason = "has no effect without bridge.multicast_group"
         yield Conflict("bridge.multicast_interface", reason, ("bridge.multicast_group",))
 
 
-def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
+def mqtt_inputs_need_broker(settings: Sections) -> Iterator[Conflict]:
     """`bridge.transport = "mqtt"`, `mqtt.wind.topic` and `mqtt.safe.topic` need `mqtt.enabled`."""
     if settings.mqtt.enabled:
         return
@@ -49,7 +49,7 @@ def what_needs_a_broker_has_one(settings: Sections) -> Iterator[Conflict]:
             yield Conflict(f"mqtt.{name}.topic", reason, ("mqtt.enabled",))
 
 
-def an_archive_gets_what_a_store_keeps(settings: Sections) -> Iterator[Conflict]:
+def archive_needs_broker_and_store(settings: Sections) -> Iterator[Conflict]:
     """`mqtt.archive` needs `mqtt.enabled`, and on a simulated rig `store.directory`."""
     if settings.mqtt.archive and not settings.mqtt.enabled:
         yield Conflict("mqtt.archive", "needs mqtt.enabled = true and a broker", ("mqtt.enabled",))
@@ -58,7 +58,7 @@ def an_archive_gets_what_a_store_keeps(settings: Sections) -> Iterator[Conflict]
         yield Conflict("mqtt.archive", reason, ("store.directory",))
 
 
-def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
+def certificate_files_need_tls(settings: Sections) -> Iterator[Conflict]:
     """Certificate files of `mqtt` need `mqtt.tls`, and a key needs its certificate."""
     mqtt = settings.mqtt
     for name in ("ca_file", "certificate_file", "certificate_key_file"):
@@ -68,7 +68,7 @@ def the_broker_is_known_as_asked(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("mqtt.certificate_key_file", "needs mqtt.certificate_file", ("mqtt.certificate_file",))
 
 
-def the_two_words_differ(settings: Sections) -> Iterator[Conflict]:
+def safe_and_unsafe_values_differ(settings: Sections) -> Iterator[Conflict]:
     """`mqtt.safe.safe` and `mqtt.safe.unsafe` are two different words."""
     if settings.mqtt.safe.safe == settings.mqtt.safe.unsafe:
         yield Conflict("mqtt.safe.unsafe", "must differ from mqtt.safe.safe", ("mqtt.safe.safe",))
@@ -89,7 +89,7 @@ def conflicts_of_quiet_hours(notify: NotifySettings) -> Iterator[Conflict]:
         yield Conflict("notify.quiet_until", reason, ("notify.quiet_from",))
 
 
-def each_server_has_a_port(settings: Sections) -> Iterator[Conflict]:
+def servers_have_own_ports(settings: Sections) -> Iterator[Conflict]:
     """`api.listen` and `sunspec.listen` differ where both are served."""
     api, sunspec = settings.api, settings.sunspec
     if not (api.enabled and sunspec.enabled):
@@ -104,11 +104,11 @@ def each_server_has_a_port(settings: Sections) -> Iterator[Conflict]:
 
 LINK_RULES = (
     the_bridge_is_signed_or_not,
-    an_interface_has_a_group,
-    what_needs_a_broker_has_one,
-    an_archive_gets_what_a_store_keeps,
-    the_broker_is_known_as_asked,
-    the_two_words_differ,
+    multicast_interface_has_group,
+    mqtt_inputs_need_broker,
+    archive_needs_broker_and_store,
+    certificate_files_need_tls,
+    safe_and_unsafe_values_differ,
     quiet_hours_have_both_ends,
-    each_server_has_a_port,
+    servers_have_own_ports,
 )

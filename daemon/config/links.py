@@ -6,14 +6,14 @@ from typing import Literal, TypeVar
 from pydantic import Field
 
 from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
-from daemon.config.section import Duration, FilePath, Section, one_section, read_tables
+from daemon.config.section import Duration, FilePath, Section, read_tables, validate_section
 from daemon.config.texts import (
     ArchiveUrl,
     ClockTime,
     Group,
-    Host,
     HostName,
     Interface,
+    IpAddress,
     JsonPath,
     ListenAddress,
     SendAddress,
@@ -57,7 +57,7 @@ class BridgeSettings(Section):
         " Left out: a new key at each start, which is enough for cube and tracker in one process.",
     )
     insecure: bool = Field(default=False, description="Accept and send unsigned scans. For a closed lab network only.")
-    accept_from: tuple[Host, ...] = Field(
+    accept_from: tuple[IpAddress, ...] = Field(
         (), strict=False, description="Tracker: addresses of the cubes it listens to; empty is any."
     )
     clock_skew_s: Duration = Field(30.0, description="Largest difference between the clocks of cube and tracker.")
@@ -315,10 +315,10 @@ class MqttSettings(Section):
     safe: SafeInput = SafeInput()
 
 
-Guest = TypeVar("Guest", DashboardSettings, NotifySettings)
+ClientSettings = TypeVar("ClientSettings", DashboardSettings, NotifySettings)
 
 
-def section_of_guest(path: Path | None, name: str, kind: type[Guest]) -> Guest:
+def read_client_section(path: Path | None, name: str, kind: type[ClientSettings]) -> ClientSettings:
     """Return the section of a process that knows services by HTTP only; if it names none, [api] fills in its services.
 
     Nothing else of the file is read: a mistake elsewhere in it concerns the service only.
@@ -329,8 +329,8 @@ def section_of_guest(path: Path | None, name: str, kind: type[Guest]) -> Guest:
         The file cannot be read, or one of the two sections is wrong.
     """
     raw = read_tables(path)
-    found = one_section(path, raw, name, kind)
+    found = validate_section(path, raw, name, kind)
     if found.services:
         return found
-    listen = DEFAULT_LISTEN if "api" not in raw else one_section(path, raw, "api", ApiSettings).listen
-    return found.model_copy(update={"services": (str(parse_address(listen).reachable),)})
+    listen = DEFAULT_LISTEN if "api" not in raw else validate_section(path, raw, "api", ApiSettings).listen
+    return found.model_copy(update={"services": (str(parse_address(listen).reachable_address),)})

@@ -11,13 +11,13 @@ from typing import Any
 import tomli_w
 
 from daemon.base.errors import UserError
-from daemon.base.files import first_free, numbered, rewrite_file, toml_text, write_new
+from daemon.base.files import first_free, numbered_paths, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.config.file import load_settings
-from daemon.config.plugged import DRIVER, SECTIONS
+from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS
 from daemon.config.trackers import NAME_FORM, NAME_IN_WORDS
 
-RENAMED = {f"{path}.{each.former}": DRIVER for path, each in SECTIONS.items() if each.former}
+RENAMED_KEYS = {f"{path}.{each.former}": DRIVER for path, each in PLUGIN_SECTIONS.items() if each.former}
 """Former paths of keys, and the name that each key has in the same section now."""
 
 _HEADER = re.compile(r"\s*\[\[?\s*([^\]]+?)\s*\]")
@@ -45,7 +45,7 @@ def migrate(path: Path, *, keys_only: bool = False) -> str:
     settings = load_settings(path)
     text = toml_text(path)
     before = tomllib.loads(text)
-    renamed = [key for key in RENAMED if _has(before, key)]
+    renamed = [key for key in RENAMED_KEYS if _has(before, key)]
     names = [] if settings.tracker or keys_only else [settings.trackers[0].name]
     if names and re.fullmatch(NAME_FORM, names[0]) is None:
         raise UserError(f"mqtt.name = {names[0]!a}: a tracker's name is {NAME_IN_WORDS}; change it and try again")
@@ -59,23 +59,23 @@ def migrate(path: Path, *, keys_only: bool = False) -> str:
     kept_text = "" if kept else "; its comments are in the old one only"
     old = _replace(path, found if kept else tomli_w.dumps(wanted))
     done = [f"its tracker is named {name}" for name in names]
-    done += [f"{key} is {key.rpartition('.')[0]}.{RENAMED[key]} now" for key in renamed]
+    done += [f"{key} is {key.rpartition('.')[0]}.{RENAMED_KEYS[key]} now" for key in renamed]
     return f"{path} is updated: {', '.join(done)}; the old one is {old}{kept_text}"
 
 
-def before(path: Path) -> Path:
+def backup_path(path: Path) -> Path:
     """Return the path of the copy of a file from before this release first migrated it."""
     return path.with_name(f"{path.name}.before-{release()}")
 
 
-def kept_before(path: Path) -> list[Path]:
+def list_backups(path: Path) -> list[Path]:
     """Return the paths of the copies of a file from before each migration by this release, the latest first."""
-    return list(takewhile(Path.exists, numbered(before(path))))[::-1]
+    return list(takewhile(Path.exists, numbered_paths(backup_path(path))))[::-1]
 
 
 def _replace(path: Path, text: str) -> Path:
     """Write the file and keep the old one; the owner and the mode of the file stay as they are."""
-    old = first_free(before(path))
+    old = first_free(backup_path(path))
     try:
         write_new(old, path.read_bytes().decode(), path.stat())
         rewrite_file(path, text)
@@ -109,7 +109,7 @@ def _with_keys_renamed(values: Any, section: str) -> Any:
     if not isinstance(values, Mapping):
         return values
     return {
-        RENAMED.get(_place(section, name), name): _with_keys_renamed(value, _place(section, name))
+        RENAMED_KEYS.get(_place(section, name), name): _with_keys_renamed(value, _place(section, name))
         for name, value in values.items()
     }
 
@@ -126,7 +126,7 @@ def _lines(text: str) -> Iterator[str]:
         header, key = _HEADER.match(line), _KEY.fullmatch(line)
         if header:
             section = header[1].removeprefix("tracker.")
-        elif key and f"{section}.{key[2]}" in RENAMED:
-            yield f"{key[1]}{RENAMED[f'{section}.{key[2]}']}{key[3]}"
+        elif key and f"{section}.{key[2]}" in RENAMED_KEYS:
+            yield f"{key[1]}{RENAMED_KEYS[f'{section}.{key[2]}']}{key[3]}"
             continue
         yield line

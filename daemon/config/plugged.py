@@ -29,7 +29,7 @@ ROTCTLD = "rotctld"
 Loc = tuple[int | str, ...]
 
 
-class Wrong(NamedTuple):
+class SectionProblem(NamedTuple):
     """One thing that is wrong in a section.
 
     Attributes
@@ -52,7 +52,7 @@ class Wrong(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Plugged:
+class PluginSection:
     """One such section.
 
     Attributes
@@ -109,7 +109,7 @@ class Plugged:
         """Return the section that a file without it has."""
         return _open(self.settings_class(self.default)).model_validate({DRIVER: self.default})
 
-    def settle(self, given: Any) -> Any:
+    def validate(self, given: Any) -> Any:
         """Return the settings for a table of the file; settings stay as they are. Raises `ValueError` for mistakes."""
         if not isinstance(given, dict):
             return given
@@ -118,46 +118,46 @@ class Plugged:
             raise ValueError("; ".join(f"{'.'.join(map(str, each.loc))} = {each.value!r}" for each in wrong))
         return settings
 
-    def read(self, given: Any) -> tuple[BaseModel, list[Wrong]]:
+    def read(self, given: Any) -> tuple[BaseModel, list[SectionProblem]]:
         """Return the settings of what is right in a section, and everything that is wrong with it."""
         if isinstance(given, BaseModel):
             return given, []
         if not isinstance(given, dict):
-            return self.defaults(), [Wrong((), given, "value")]
+            return self.defaults(), [SectionProblem((), given, "value")]
         rest = dict(given)
         said = [key for key in (DRIVER, self.former) if key in rest]
         chosen = [rest.pop(key) for key in said] or [self.default]
         if len(said) > 1:
             reason = f"is the earlier name of {self.path}.{DRIVER}, which is set too; remove one of the two"
-            return self.defaults(), [Wrong((self.former,), chosen[1], "other", reason)]
+            return self.defaults(), [SectionProblem((self.former,), chosen[1], "other", reason)]
         name, at = chosen[0], (said or [DRIVER])[0]
         if name not in self.names():
-            return self.defaults(), [Wrong((at,), name, "value")]
+            return self.defaults(), [SectionProblem((at,), name, "value")]
         try:
             kind = self.settings_class(name)
         except plugins.PluginError as error:
-            return self.defaults(), [Wrong((at,), name, "other", str(error))]
+            return self.defaults(), [SectionProblem((at,), name, "other", str(error))]
         wrong = [*_wrong(kind, _known_to(kind, rest)), *self._wrong_for_others(name, _unknown_to(kind, rest))]
         right = _without(rest, [each.loc for each in wrong])
         return _open(kind).model_validate({**right, DRIVER: name}), wrong
 
-    def changed(self, settings: BaseModel, values: Mapping[str, Any]) -> dict[str, Any]:
+    def table_with_changes(self, settings: BaseModel, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return the table that says what the settings say, with some values changed."""
         renamed = {DRIVER if key == self.former else key: value for key, value in values.items()}
-        return {**said(settings), **renamed}
+        return {**dump_explicit_values(settings), **renamed}
 
-    def rechosen(self, settings: BaseModel, name: str) -> Any:
+    def with_driver(self, settings: BaseModel, name: str) -> Any:
         """Return the settings with another name and everything else that the file has said."""
-        return self.settle({**said(settings), DRIVER: name})
+        return self.validate({**dump_explicit_values(settings), DRIVER: name})
 
-    def _wrong_for_others(self, name: str, values: dict[str, Any]) -> Iterator[Wrong]:
+    def _wrong_for_others(self, name: str, values: dict[str, Any]) -> Iterator[SectionProblem]:
         if not values:
             return
         classes = [kind for _, kind in self.others(name)]
         for key, value in values.items():
             kind = next((each for each in classes if key in each.model_fields), None)
             if kind is None:
-                yield Wrong((key,), value, "unknown")
+                yield SectionProblem((key,), value, "unknown")
             else:
                 yield from _wrong(kind, {key: value})
 
@@ -170,7 +170,7 @@ class SimulatedLoadSettings(LoadSettings):
     """simulated: goes with simulated instruments."""
 
 
-LAW = Plugged(
+LAW = PluginSection(
     path="law",
     group=plugins.LAWS,
     default=DEFAULT_LAW,
@@ -180,7 +180,7 @@ LAW = Plugged(
     former="name",
 )
 
-POSITIONER = Plugged(
+POSITIONER = PluginSection(
     path="instruments.positioner",
     group=plugins.POSITIONERS,
     default="pozsol",
@@ -189,7 +189,7 @@ POSITIONER = Plugged(
     built_in={},
 )
 
-LOAD = Plugged(
+LOAD = PluginSection(
     path="load",
     group=plugins.LOADS,
     default="none",
@@ -198,7 +198,7 @@ LOAD = Plugged(
     built_in={"none": NoLoadSettings, "simulated": SimulatedLoadSettings},
 )
 
-CUBE = Plugged(
+CUBE = PluginSection(
     path="instruments.cube",
     group=plugins.CUBES,
     default=MULTIPLEXED,
@@ -207,7 +207,7 @@ CUBE = Plugged(
     built_in={},
 )
 
-SECTIONS = {each.path: each for each in (LAW, CUBE, POSITIONER, LOAD)}
+PLUGIN_SECTIONS = {each.path: each for each in (LAW, CUBE, POSITIONER, LOAD)}
 """All sections of this kind, by their path."""
 
 
@@ -216,12 +216,14 @@ def law_names() -> tuple[str, ...]:
     return LAW.names()
 
 
-def said(settings: BaseModel) -> dict[str, Any]:
+def dump_explicit_values(settings: BaseModel) -> dict[str, Any]:
     """Return what the file says in such a section, without the defaults."""
     return settings.model_dump(exclude_unset=True)
 
 
-def settled(raw: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[tuple[str, str], ...], list[tuple[str, Wrong]]]:
+def validate_plugin_sections(
+    raw: Mapping[str, Any],
+) -> tuple[dict[str, Any], tuple[tuple[str, str], ...], list[tuple[str, SectionProblem]]]:
     """Put settings in place of all such sections of a file.
 
     Returns
@@ -230,7 +232,7 @@ def settled(raw: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[tuple[str, st
     """
     tables = dict(raw)
     chosen, wrong = [], []
-    for plugged in SECTIONS.values():
+    for plugged in PLUGIN_SECTIONS.values():
         *outer, last = plugged.path.split(".")
         table: Any = tables
         for name in outer:
@@ -279,12 +281,14 @@ def _unknown_to(kind: type[BaseModel], values: dict[str, Any]) -> dict[str, Any]
     return {key: value for key, value in values.items() if key not in kind.model_fields}
 
 
-def _wrong(kind: type[BaseModel], values: dict[str, Any]) -> Iterator[Wrong]:
+def _wrong(kind: type[BaseModel], values: dict[str, Any]) -> Iterator[SectionProblem]:
     try:
         kind.model_validate(values)
     except ValidationError as error:
         for item in error.errors(include_url=False, include_context=False):
-            yield Wrong(item["loc"], item["input"], "unknown" if item["type"] == "extra_forbidden" else "value")
+            yield SectionProblem(
+                item["loc"], item["input"], "unknown" if item["type"] == "extra_forbidden" else "value"
+            )
 
 
 def _without(values: dict[str, Any], locs: Collection[Loc]) -> dict[str, Any]:

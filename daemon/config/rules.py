@@ -7,12 +7,12 @@ from datetime import UTC, datetime
 import numpy as np
 
 from daemon.base.records import FACES
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.config.conflict import Conflict
 from daemon.config.link_rules import LINK_RULES
 from daemon.config.plugged import LAW, MULTIPLEXED
 from daemon.config.sections import Sections
-from drivers.settings import held_way, way_of
+from drivers.settings import canonical_address, exclusive_resource
 from solar.frames import equator_azimuth_deg
 
 # The Keithley 2000 reads to 120 % of its range; autozero doubles the time of a conversion.
@@ -135,7 +135,7 @@ def the_positioner_reaches_night_stow_and_snow(settings: Sections) -> Iterator[C
             yield Conflict(f"safety.{position}_b_deg", reason, (f"safety.{position}_a_deg",))
 
 
-def every_angle_can_be_arrived_at(settings: Sections) -> Iterator[Conflict]:
+def position_steps_fit_tolerance(settings: Sections) -> Iterator[Conflict]:
     """Wherever inside `limits` the axes are sent, the positioner comes to rest within `motion.tolerance_deg` of it."""
     if any(limits_are_ordered(settings)) or any(the_positioner_reaches_its_limits(settings)):
         return
@@ -195,7 +195,7 @@ def the_range_reaches_bright_sun(settings: Sections) -> Iterator[Conflict]:
             yield Conflict(key, reason, others)
 
 
-def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
+def averaging_window_is_in_range(settings: Sections) -> Iterator[Conflict]:
     """`windows.mean_s` is at least `cube.scan_every_s` and at most `windows.decide_every_s`."""
     mean_s, scan_s, decide_s = (
         settings.windows.mean_s,
@@ -210,7 +210,7 @@ def windows_hold_scans(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("windows.mean_s", f"must not be shorter than {other} ({scan_s:g} s)", (other,))
 
 
-def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
+def simulation_start_is_in_range(settings: Sections) -> Iterator[Conflict]:
     """`simulation.start_utc` is in the years 1979 to 2099."""
     start = settings.simulation.start_utc
     if start is not None and not FIRST_START <= start < END_OF_STARTS:
@@ -218,14 +218,16 @@ def a_simulated_clock_starts_in_time(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("simulation.start_utc", f"must be in the years {years}: scans cannot carry other times")
 
 
-def a_group_is_whole(settings: Sections) -> Iterator[Conflict]:
+def rows_lists_are_complete(settings: Sections) -> Iterator[Conflict]:
     """All lists of `rows` have an item for each tracker, two or more, and the size of the modules is set too."""
     rows = settings.rows
     count = len(rows.east_m)
     for name in ("north_m", "up_m"):
         own = len(getattr(rows, name))
         if own != count and (own or name == "north_m"):
-            reason = f"names {counted(own, 'tracker')} and rows.east_m names {count}; both must place the same trackers"
+            reason = (
+                f"names {pluralise(own, 'tracker')} and rows.east_m names {count}; both must place the same trackers"
+            )
             yield Conflict(f"rows.{name}", reason, ("rows.east_m",))
     if count == 1:
         yield Conflict("rows.east_m", "names one tracker; a group has two or more, and a lone tracker needs no [rows]")
@@ -292,7 +294,7 @@ def a_real_rig_has_no_simulated_load(settings: Sections) -> Iterator[Conflict]:
         yield Conflict("load.driver", reason, ("instruments.kind",))
 
 
-def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflict]:
+def instruments_have_own_ports(settings: Sections) -> Iterator[Conflict]:
     """Voltmeter, positioner and load of a real rig each have a port of their own or, without one, a VISA name."""
     instruments = settings.instruments
     if instruments.kind != "real":
@@ -300,13 +302,16 @@ def each_instrument_has_a_way_of_its_own(settings: Sections) -> Iterator[Conflic
     meter = instruments.voltmeter
     owners: dict[str, str] = {}
     for part, values in (
-        ("instruments.voltmeter", held_way(meter.resource, meter.prologix_port) if has_multiplexer(settings) else {}),
+        (
+            "instruments.voltmeter",
+            exclusive_resource(meter.resource, meter.prologix_port) if has_multiplexer(settings) else {},
+        ),
         ("instruments.positioner", instruments.positioner.exclusive()),
         ("load", settings.load.exclusive()),
     ):
         for name, value in values.items():
             key = f"{part}.{name}"
-            if value is not None and (other := owners.setdefault(way_of(value), key)) != key:
+            if value is not None and (other := owners.setdefault(canonical_address(value), key)) != key:
                 reason = f"is set for {other} already, and only one instrument can hold it; each needs its own"
                 yield Conflict(key, reason, (other,))
 
@@ -327,12 +332,12 @@ _MULTIPLEXER_RULES = (
 )
 RULES = (
     *_MULTIPLEXER_RULES,
-    each_instrument_has_a_way_of_its_own,
+    instruments_have_own_ports,
     the_faces_can_be_told_apart,
-    windows_hold_scans,
-    a_simulated_clock_starts_in_time,
+    averaging_window_is_in_range,
+    simulation_start_is_in_range,
     the_law_in_the_shadow_is_another,
-    a_group_is_whole,
+    rows_lists_are_complete,
     trackers_of_a_group_stand_apart,
     limits_are_ordered,
     positions_are_inside_limits,
@@ -340,7 +345,7 @@ RULES = (
     thresholds_have_hysteresis,
     the_positioner_reaches_its_limits,
     the_positioner_reaches_night_stow_and_snow,
-    every_angle_can_be_arrived_at,
+    position_steps_fit_tolerance,
     a_curve_fits_its_period,
     a_real_rig_has_no_simulated_load,
     *LINK_RULES,

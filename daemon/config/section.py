@@ -45,7 +45,7 @@ def read_tables(path: Path | None) -> dict[str, Any]:
         raise UserError(f"{path} is not TOML: {error}; see 'heliocube config check {path}'") from None
 
 
-def one_section(path: Path | None, raw: dict[str, Any], name: str, kind: type[Kind]) -> Kind:
+def validate_section(path: Path | None, raw: dict[str, Any], name: str, kind: type[Kind]) -> Kind:
     """Return one section of a file, whatever else is wrong in it; raises `UserError`."""
     try:
         return kind.model_validate(raw.get(name, {}))
@@ -68,7 +68,7 @@ _CLAUSES = {
 }
 
 
-def in_words(wrong: "ErrorDetails") -> str:
+def describe_error(wrong: "ErrorDetails") -> str:
     """Return in a clause, for people, what is wrong with a value that a model has refused."""
     clause = _CLAUSES.get(wrong["type"])
     if clause is None:
@@ -79,7 +79,7 @@ def in_words(wrong: "ErrorDetails") -> str:
     return clause.format(input=wrong["input"], **bounds)
 
 
-def beside(path: Path | None, section: Kind) -> Kind:
+def resolve_file_paths(path: Path | None, section: Kind) -> Kind:
     """Return a section with the paths of its files completed: relative ones start from the configuration's folder.
 
     Raises
@@ -92,13 +92,13 @@ def beside(path: Path | None, section: Kind) -> Kind:
     for name, value in section:
         if isinstance(value, Path):
             try:
-                files[name] = folder / at_home(value)
+                files[name] = folder / expand_home(value)
             except ValueError as error:
                 raise UserError(f"{name} = {str(value)!a}: {error}") from None
     return section.model_copy(update=files)
 
 
-def at_home(path: Path) -> Path:
+def expand_home(path: Path) -> Path:
     """Return a path with the home that its ~ means; raises `ValueError` where nobody has that name."""
     try:
         return path.expanduser()
@@ -106,9 +106,9 @@ def at_home(path: Path) -> Path:
         raise ValueError("there is no such user; write the whole path") from None
 
 
-def whole_path(folder: Path, path: Path) -> Path:
+def resolve_path(folder: Path, path: Path) -> Path:
     """Return the whole path of one that starts from a folder, links followed; raises `ValueError` if there is none."""
-    meant = folder / at_home(path)
+    meant = folder / expand_home(path)
     try:
         whole = meant.resolve()
     except (RuntimeError, OSError):

@@ -211,7 +211,7 @@ def _group(
     only_if_it_pays: bool,
 ) -> TrackerGroup:
     """Build a group once for all its trackers: to build it for each of hundreds would take long."""
-    return TrackerGroup.on_map(
+    return TrackerGroup.from_map(
         east_m, north_m, up_m, size_m, latitude_deg, bypass_groups, only_if_it_pays=only_if_it_pays
     )
 
@@ -286,8 +286,8 @@ class Sections(Section):
     site: SiteSettings = SiteSettings()
     cube: CubeSettings = CubeSettings()
     instruments: Instruments = Field(default_factory=Instruments)
-    load: Annotated[SerializeAsAny[LoadSettings], BeforeValidator(LOAD.settle)] = Field(default_factory=LOAD.defaults)
-    law: Annotated[SerializeAsAny[LawSettings], BeforeValidator(LAW.settle)] = Field(default_factory=LAW.defaults)
+    load: Annotated[SerializeAsAny[LoadSettings], BeforeValidator(LOAD.validate)] = Field(default_factory=LOAD.defaults)
+    law: Annotated[SerializeAsAny[LawSettings], BeforeValidator(LAW.validate)] = Field(default_factory=LAW.defaults)
     windows: WindowSettings = WindowSettings()
     limits: LimitSettings = LimitSettings()
     rows: RowsSettings = RowsSettings()

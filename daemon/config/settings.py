@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from daemon.base.errors import UserError
 from daemon.config.rules import conflicts
 from daemon.config.sections import Sections
-from daemon.config.trackers import TrackerTable, clashes, merged, values_of
+from daemon.config.trackers import TrackerTable, clashes, merge_tracker_table, values_of
 
 
 class NamedSettings(NamedTuple):
@@ -73,10 +73,10 @@ class Settings(Sections):
         if not table.model_fields_set - {"name"}:
             # Hundreds of trackers may differ in a name only: to check the same values again takes milliseconds each.
             return self.model_copy(update={"tracker": (), **own})
-        return Settings.model_validate(merged(values, table.model_dump())).model_copy(update=own)
+        return Settings.model_validate(merge_tracker_table(values, table.model_dump())).model_copy(update=own)
 
 
-def settings_of_one(settings: Settings, tracker: str | None) -> Settings:
+def settings_of_tracker(settings: Settings, tracker: str | None) -> Settings:
     """Return the settings of one tracker, the only one where none is named, for a program that drives only one.
 
     Raises

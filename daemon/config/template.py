@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from daemon.config import keys, rules
-from daemon.config.keys import Chosen, Key, SettingsTable
+from daemon.config.keys import Drivers, Key, SettingsTable
 
 Role = Literal["both", "cube", "tracker"]
 
@@ -93,7 +93,7 @@ This page is made from the models in `daemon/config/`; regenerate it with `pytho
 """
 
 
-def example(role: Role, values: Mapping[str, Any] | None = None, chosen: Chosen = ()) -> str:
+def render_config(role: Role, values: Mapping[str, Any] | None = None, chosen: Drivers = ()) -> str:
     """Return a commented TOML file with every key that a role reads, at its default.
 
     Parameters

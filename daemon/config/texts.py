@@ -9,7 +9,7 @@ from pydantic import AfterValidator
 
 from daemon.base.addresses import parse_address
 from daemon.config.database import check_database_hosts
-from drivers.settings import check_host, text_of
+from drivers.settings import check_host, text_schema
 
 _CLOCK_TIME = re.compile(r"([01]\d|2[0-3]):[0-5]\d")
 _WEB = re.compile(r"https?://[^\s/]\S*")
@@ -88,18 +88,18 @@ def _host_name(text: str) -> str:
     return text
 
 
-ListenAddress = Annotated[str, AfterValidator(_listen_address), text_of("listen")]
-SendAddress = Annotated[str, AfterValidator(_send_address), text_of("address")]
-TrackerAddress = Annotated[str, AfterValidator(_tracker_address), text_of("tracker")]
-Group = Annotated[str, AfterValidator(_group), text_of("group")]
-Host = Annotated[str, AfterValidator(_host), text_of("ip")]
-Interface = Annotated[str, AfterValidator(_interface), text_of("ipv4")]
+ListenAddress = Annotated[str, AfterValidator(_listen_address), text_schema("listen")]
+SendAddress = Annotated[str, AfterValidator(_send_address), text_schema("address")]
+TrackerAddress = Annotated[str, AfterValidator(_tracker_address), text_schema("tracker")]
+Group = Annotated[str, AfterValidator(_group), text_schema("group")]
+IpAddress = Annotated[str, AfterValidator(_host), text_schema("ip")]
+Interface = Annotated[str, AfterValidator(_interface), text_schema("ipv4")]
 # daemon.mqtt.topics tells whether these three can be used: a wrong one must not keep the tracker from tracking.
-Topic = Annotated[str, text_of("topic")]
-TopicLevel = Annotated[str, text_of("level")]
-JsonPath = Annotated[str, text_of("json-path")]
-ClockTime = Annotated[str, AfterValidator(_clock_time), text_of("clock-time")]
-WebAddress = Annotated[str, AfterValidator(_web), text_of("web")]
-ArchiveUrl = Annotated[str, AfterValidator(_archive), text_of("archive")]
-TopicFilter = Annotated[str, AfterValidator(_topics), text_of("records")]
-HostName = Annotated[str, AfterValidator(_host_name), text_of("host")]
+Topic = Annotated[str, text_schema("topic")]
+TopicLevel = Annotated[str, text_schema("level")]
+JsonPath = Annotated[str, text_schema("json-path")]
+ClockTime = Annotated[str, AfterValidator(_clock_time), text_schema("clock-time")]
+WebAddress = Annotated[str, AfterValidator(_web), text_schema("web")]
+ArchiveUrl = Annotated[str, AfterValidator(_archive), text_schema("archive")]
+TopicFilter = Annotated[str, AfterValidator(_topics), text_schema("records")]
+HostName = Annotated[str, AfterValidator(_host_name), text_schema("host")]

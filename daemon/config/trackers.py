@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from pydantic import Field
 
-from daemon.config.plugged import DRIVER, SECTIONS, said
+from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS, dump_explicit_values
 from daemon.config.section import Section
-from drivers.settings import way_of
+from drivers.settings import canonical_address
 from solar.frames import equator_azimuth_deg
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class TrackerTable(Section):
     load: dict[str, Any] = Field(default_factory=dict)
 
 
-PARTS = tuple(name for name in TrackerTable.model_fields if name != "name")
+TRACKER_SECTIONS = tuple(name for name in TrackerTable.model_fields if name != "name")
 # The path in the file of a section that is elsewhere in a tracker's table.
 _PATHS_IN_FILE = {"positioner": "instruments.positioner"}
 # Sections that all trackers of a process share; a newcomer may look for them in the trackers' tables.
@@ -52,28 +52,28 @@ class Clash(NamedTuple):
 def values_of(settings: "Sections") -> dict[str, Any]:
     """Return the values of settings by section, without trackers' tables and without the defaults of drivers."""
     raw = settings.model_dump(exclude={"tracker"})
-    for path in SECTIONS:
+    for path in PLUGIN_SECTIONS:
         *outer, last = path.split(".")
         table, section = raw, settings
         for name in outer:
             table, section = table[name], getattr(section, name)
-        table[last] = said(getattr(section, last))
+        table[last] = dump_explicit_values(getattr(section, last))
     return raw
 
 
-def without(table: dict[str, Any], path: str, values: Mapping[str, Any]) -> None:
+def remove_keys(table: dict[str, Any], path: str, values: Mapping[str, Any]) -> None:
     """Remove the keys in `values` from a tracker's table; they are those of the section that has `path` in the file."""
-    section = place_in_table(path)
+    section = path_in_tracker_table(path)
     own = table.get(section)
     if isinstance(own, dict):
         gone = _with_former_name(path, values)
         table[section] = {name: value for name, value in own.items() if name not in gone}
 
 
-def merged(raw: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+def merge_tracker_table(raw: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of a file as they hold for the tracker of a table."""
     found = dict(raw)
-    for section in PARTS:
+    for section in TRACKER_SECTIONS:
         if section in table:
             home = _PATHS_IN_FILE.get(section, section)
             _lay_over(found, home.split("."), table[section], _with_former_name(home, table[section]))
@@ -83,11 +83,11 @@ def merged(raw: Mapping[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
 def _with_former_name(path: str, values: Any) -> frozenset[str]:
     """Return the names of the keys that a section's values decide; `driver` and its former name decide each other."""
     names = frozenset(values) if isinstance(values, Mapping) else frozenset()
-    aliases = {DRIVER, SECTIONS[path].former} if path in SECTIONS else set()
+    aliases = {DRIVER, PLUGIN_SECTIONS[path].former} if path in PLUGIN_SECTIONS else set()
     return names | aliases if names & aliases else names
 
 
-def place_in_table(path: str) -> str:
+def path_in_tracker_table(path: str) -> str:
     """Return the path of a key in a tracker's table: ``positioner.port`` for ``instruments.positioner.port``."""
     for section, home in _PATHS_IN_FILE.items():
         if path == home or path.startswith(f"{home}."):
@@ -95,15 +95,15 @@ def place_in_table(path: str) -> str:
     return path
 
 
-def resembling(name: str) -> str:
+def unknown_section_remedy(name: str) -> str:
     """Return the remedy for a name that is not one of a tracker's sections."""
     if name in _SHARED:
         return (
             "the trackers of a process have one cube and one bridge: write this outside their tables; a tracker"
             " with another cube needs a file and a process of its own"
         )
-    found = difflib.get_close_matches(name.rpartition(".")[2].lower(), PARTS, 1)
-    return f"did you mean {found[0]}?" if found else f"a tracker has {', '.join(PARTS)}"
+    found = difflib.get_close_matches(name.rpartition(".")[2].lower(), TRACKER_SECTIONS, 1)
+    return f"did you mean {found[0]}?" if found else f"a tracker has {', '.join(TRACKER_SECTIONS)}"
 
 
 def clashes(latitude_deg: float, trackers: Sequence[tuple[str, "Sections"]]) -> Iterator[Clash]:
@@ -115,7 +115,7 @@ def clashes(latitude_deg: float, trackers: Sequence[tuple[str, "Sections"]]) -> 
             ports |= {f"positioner.{key}": value for key, value in settings.instruments.positioner.exclusive().items()}
         for key, value in ports.items():
             if value is not None:
-                other, theirs = owners.setdefault(way_of(value), (name, key))
+                other, theirs = owners.setdefault(canonical_address(value), (name, key))
                 if other != name:
                     what = "that" if theirs == key else f"the {theirs}"
                     reason = f"is {what} of the tracker {other} already; each needs one of its own"

@@ -8,14 +8,14 @@ from random import Random
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Outage, Reconnection, Rhythm
+from daemon.base.reconnect import Outage, PeriodicSchedule, Reconnection
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import CubeSettings
-from daemon.cube.calibration import DarkOffsets, calibrated
+from daemon.cube.calibration import DarkOffsets, calibrated_irradiance
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.guarded_cube import GuardedCube
 from daemon.cube.repeats import Repeats
-from daemon.cube.told_faces import ToldSensors
+from daemon.cube.told_faces import SensorAlarm
 from drivers.errors import DeviceError, DriverHungError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw, FaceSample
 
@@ -71,7 +71,7 @@ class Acquisition:
         alarms: Alarms | None = None,
     ) -> None:
         self._face_watch = face_watch
-        self._told_sensors = None if alarms is None else ToldSensors(alarms, clock)
+        self._sensor_alarm = None if alarms is None else SensorAlarm(alarms, clock)
         self._settings = settings
         self._cube = GuardedCube(cube)
         self._clock = clock
@@ -91,7 +91,7 @@ class Acquisition:
         self._reconnection = Reconnection(
             self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
         )
-        self._rhythm = Rhythm(settings.scan_every_s)
+        self._rhythm = PeriodicSchedule(settings.scan_every_s)
         self._was_open = False
         self.scan_every_s = settings.scan_every_s
         self.last_scan_s = clock.monotonic()
@@ -127,7 +127,7 @@ class Acquisition:
         self._rhythm.start(self._clock.monotonic())
         while True:
             scan = await self.scan()
-            self._reconnection.works()
+            self._reconnection.note_working()
             self.last_scan_s = self._clock.monotonic()
             self._on_scan(scan)
             await asyncio.sleep(self._rhythm.wait_s(self._clock.monotonic()))
@@ -135,8 +135,8 @@ class Acquisition:
     async def scan(self) -> Scan:
         """Read and judge the four faces once; raises `DeviceError` when the link is gone."""
         reading = await self._cube.read()
-        if self._told_sensors is not None:
-            self._told_sensors.note(reading)
+        if self._sensor_alarm is not None:
+            self._sensor_alarm.note(reading)
         faces = [self._face(index, sample, reading) for index, sample in enumerate(reading.faces)]
         east, south, west, zenith = self._mark_implausible(faces, reading.proven)
         scan = Scan(
@@ -178,7 +178,7 @@ class Acquisition:
         read_mv = value * 1e3
         self._read_mv[index] = read_mv
         dark_mv = self._dark_offsets.learn(index, read_mv, sample.time_utc_s) if self._dark_offsets else 0.0
-        return calibrated(read_mv - dark_mv, self._faces[index])
+        return calibrated_irradiance(read_mv - dark_mv, self._faces[index])
 
     def _mark_implausible(self, faces: list[FaceReading], proven: bool) -> list[FaceReading]:
         watch = self._face_watch

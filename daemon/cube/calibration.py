@@ -14,7 +14,7 @@ from pydantic import AwareDatetime, Field, ValidationError
 from daemon.base.errors import UserError
 from daemon.base.files import parse_toml, toml_text, write_new
 from daemon.base.records import FACES, Event
-from daemon.config.section import NotNegative, Section, in_words
+from daemon.config.section import NotNegative, Section, describe_error
 from daemon.config.sections import CubeSettings, FaceSettings
 from daemon.config.settings import Settings
 from drivers.settings import Positive
@@ -36,7 +36,7 @@ class FaceCalibration(Section):
     offset_uncertainty_mv: NotNegative
 
 
-class Standing(Section):
+class CubeOrientation(Section):
     """How the cube stands and what the ground reflects, where the cube was calibrated in place."""
 
     yaw_deg: float
@@ -62,7 +62,7 @@ class CubeCalibration(Section):
     south: FaceCalibration
     west: FaceCalibration
     zenith: FaceCalibration
-    standing: Standing | None = None
+    standing: CubeOrientation | None = None
 
     def validity(self, utc_s: float) -> Validity:
         """Tell whether the calibration still holds at `utc_s`; it expires soon in its last 30 days."""
@@ -106,7 +106,7 @@ def read_calibration(path: Path) -> CubeCalibration:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise UserError(f"calibration file {path}: {where}: {in_words(first)}; calibrate again") from None
+        raise UserError(f"calibration file {path}: {where}: {describe_error(first)}; calibrate again") from None
     except (OSError, ValueError) as error:
         raise UserError(f"calibration file {path} cannot be read: {error}") from None
     if calibration.identifier != _identifier(calibration):
@@ -202,7 +202,7 @@ _LEARNING_RATE = 1 / 300
 _LARGEST_MV = 0.5
 
 
-def calibrated(voltage_mv: float, face: FaceSettings) -> float:
+def calibrated_irradiance(voltage_mv: float, face: FaceSettings) -> float:
     """Return the irradiance [W/m2] of a face from its sensor's voltage [mV]: gain x (voltage - offset)."""
     return face.gain_w_m2_per_mv * (voltage_mv - face.offset_mv)
 

@@ -3,17 +3,17 @@
 from collections.abc import Sequence
 
 from daemon.base.records import FACES
-from solar.faces.changes import Changes, changes
-from solar.faces.contradiction import AGREEMENT, Misfits, misfits
+from solar.faces.changes import ChangeMisfits, change_misfits
+from solar.faces.contradiction import AGREEMENT_THRESHOLD, Misfits, misfits
 from solar.faces.plausible import Doubt
 from solar.frames import Array
 
 MINUTES = 30
 _EVERY_MINUTES = 5
 _PUZZLED_LOOKS = 2
-_MISFIT_DOUBTS = (Doubt.ODD, Doubt.SWAPPED, Doubt.TORN)
+_MISFIT_DOUBTS = (Doubt.CONTRADICTED, Doubt.SWAPPED, Doubt.INCONSISTENT)
 # These doubts about one face leave the others open: they may contradict each other for a reason of their own.
-_DOUBTS_OF_ONE_FACE = (Doubt.NONE, Doubt.OVER, *_MISFIT_DOUBTS)
+_DOUBTS_OF_ONE_FACE = (Doubt.NONE, Doubt.TOO_BRIGHT, *_MISFIT_DOUBTS)
 # This doubt comes from what the other faces predict, and one of those may be the wrong one.
 _DOUBT_BY_PREDICTION = Doubt.FROZEN
 
@@ -23,7 +23,7 @@ class Contradictions:
 
     Attributes
     ----------
-    acquitted
+    wrongly_frozen_face
         The face that was taken for frozen although the fault is in the one found now; None for none.
     """
 
@@ -33,7 +33,7 @@ class Contradictions:
     def _forget(self) -> None:
         self._minutes = self._puzzled = 0
         self._misfits: Misfits | None = None
-        self.acquitted: int | None = None
+        self.wrongly_frozen_face: int | None = None
         self._found_doubts = [Doubt.NONE] * len(FACES)
 
     def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> list[Doubt]:
@@ -52,7 +52,7 @@ class Contradictions:
         elif self._minutes % _EVERY_MINUTES == 0:
             self._misfits = misfits(faces_w_m2, sun)
             self._found_doubts = (
-                self._judged_beside(frozen) if frozen else self._judge_faces(whys, changes(faces_w_m2, sun))
+                self._judged_beside(frozen) if frozen else self._judge_faces(whys, change_misfits(faces_w_m2, sun))
             )
         self._minutes += 1
         return self._found_doubts
@@ -64,33 +64,37 @@ class Contradictions:
         if self._misfits is None:
             return False
         if whys[face] is Doubt.SWAPPED:
-            return self._misfits.in_order([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
+            return self._misfits.rules_out_swaps([place for place, why in enumerate(whys) if why is Doubt.SWAPPED])
         # All four faces are needed again soon, whatever ground explains them; one face alone can be done without.
-        return self._misfits.whole < AGREEMENT if whys[face] is Doubt.TORN else self._misfits.in_full(face)
+        return (
+            self._misfits.whole < AGREEMENT_THRESHOLD
+            if whys[face] is Doubt.INCONSISTENT
+            else self._misfits.rules_out_half_gain(face)
+        )
 
     def _judged_beside(self, frozen: Sequence[int]) -> list[Doubt]:
         """Accuse another face than the frozen one only if the others contradict each other even without that one."""
         self._puzzled = 0
         found = [Doubt.NONE] * len(FACES)
-        other = self._misfits.instead_of(frozen[0]) if self._misfits is not None and len(frozen) == 1 else None
-        self.acquitted = None if other is None else frozen[0]
+        other = self._misfits.other_wrong_face(frozen[0]) if self._misfits is not None and len(frozen) == 1 else None
+        self.wrongly_frozen_face = None if other is None else frozen[0]
         if other is not None:
-            found[other] = Doubt.ODD
+            found[other] = Doubt.CONTRADICTED
         return found
 
-    def _judge_faces(self, whys: Sequence[Doubt], change: Changes | None) -> list[Doubt]:
+    def _judge_faces(self, whys: Sequence[Doubt], change: ChangeMisfits | None) -> list[Doubt]:
         found = [Doubt.NONE] * len(FACES)
-        self.acquitted = None
-        contradict = self._misfits is not None and self._misfits.contradict
+        self.wrongly_frozen_face = None
+        contradict = self._misfits is not None and self._misfits.is_contradictory
         accused = _agreed_faces(
-            () if self._misfits is None else self._misfits.accused, () if change is None else change.accused
+            () if self._misfits is None else self._misfits.suspect_faces, () if change is None else change.suspect_faces
         )
         self._puzzled = 0 if accused or not contradict else self._puzzled + 1
         if accused:
             for face in accused:
-                found[face] = Doubt.ODD if len(accused) == 1 else Doubt.SWAPPED
-        elif self._puzzled >= _PUZZLED_LOOKS and not any(why in (Doubt.ODD, Doubt.SWAPPED) for why in whys):
-            return [Doubt.TORN] * len(FACES)
+                found[face] = Doubt.CONTRADICTED if len(accused) == 1 else Doubt.SWAPPED
+        elif self._puzzled >= _PUZZLED_LOOKS and not any(why in (Doubt.CONTRADICTED, Doubt.SWAPPED) for why in whys):
+            return [Doubt.INCONSISTENT] * len(FACES)
         return found
 
 

@@ -12,11 +12,11 @@ from daemon.base.records import FACES
 from daemon.base.sleeps import SleepGauge
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
-from daemon.cube.told_faces import in_a_row, kept_since, reads, since_each
+from daemon.cube.told_faces import face_reads_text, join_names, since_text, update_since
 from solar.ephemeris import SunDirection
 from solar.faces.contradiction import misfits
-from solar.faces.jumps import jumps
-from solar.faces.plausible import LOWEST_SINE, Doubt, Response, doubts, lit, lit_at_night, responses
+from solar.faces.jumps import find_jumps
+from solar.faces.plausible import LOWEST_SUN_SINE, Doubt, Response, doubts, is_lit, lit_at_night, responses
 from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import normal_from_tilt
 
@@ -39,12 +39,12 @@ _WHY = {
     Doubt.DARK: "nothing in daylight",
     Doubt.SAME: "the same as another face, in pairs",
     Doubt.FROZEN: "the same while the light changes on the others",
-    Doubt.OVER: "more than sun and sky can give there",
+    Doubt.TOO_BRIGHT: "more than sun and sky can give there",
     Doubt.NIGHT: "light in the night while the others are dark",
-    Doubt.ODD: "what the others and the sun's position contradict",
+    Doubt.CONTRADICTED: "what the others and the sun's position contradict",
     Doubt.SWAPPED: "each other's light",
-    Doubt.TORN: "what no light explains, and it is not known which of them is wrong",
-    Doubt.LOOSE: "for a minute now and then what the others do not",
+    Doubt.INCONSISTENT: "what no light explains, and it is not known which of them is wrong",
+    Doubt.LOOSE_CONTACT: "for a minute now and then what the others do not",
 }
 _STUCK_CHECK = "whether the sensor or the channel of {} is stuck"
 _WHAT_TO_CHECK = {
@@ -52,18 +52,18 @@ _WHAT_TO_CHECK = {
     Doubt.DARK: "the multiplexer's supply and its address lines",
     Doubt.SAME: "whether an address line of the multiplexer is stuck, or its port is dead",
     Doubt.FROZEN: _STUCK_CHECK,
-    Doubt.OVER: "the gain of {}, and whether faces are interchanged",
+    Doubt.TOO_BRIGHT: "the gain of {}, and whether faces are interchanged",
     Doubt.NIGHT: _STUCK_CHECK,
-    Doubt.ODD: "{} for shade, dirt, reflections, a stuck sensor or a turned mount",
+    Doubt.CONTRADICTED: "{} for shade, dirt, reflections, a stuck sensor or a turned mount",
     Doubt.SWAPPED: "whether the cables of {} are swapped",
-    Doubt.TORN: "all four, and the clock",
-    Doubt.LOOSE: "plug, cable and multiplexer input of {} for a loose contact",
+    Doubt.INCONSISTENT: "all four, and the clock",
+    Doubt.LOOSE_CONTACT: "plug, cable and multiplexer input of {} for a loose contact",
 }
 # A face under one of these doubts is not cleared by plausible readings alone: these may come by chance for a while.
-_MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.ODD)
+_MUST_FOLLOW = (Doubt.FROZEN, Doubt.NIGHT, Doubt.CONTRADICTED)
 _HARD_TO_FORGIVE = (*_MUST_FOLLOW, Doubt.SWAPPED)
 # Between its jumps a loose face shows the light, and of four torn faces none is known to be wrong.
-_SHOW_CLOUDS = (Doubt.NONE, Doubt.LOOSE, Doubt.TORN)
+_SHOW_CLOUDS = (Doubt.NONE, Doubt.LOOSE_CONTACT, Doubt.INCONSISTENT)
 
 
 def face_normals(cube: CubeSettings, latitude_deg: float) -> Array:
@@ -178,7 +178,7 @@ class FaceWatch:
     def _judge(self) -> None:
         sun = self._sun_direction(self._clock.utc() - BLOCKS * _BLOCK_S / 2)
         faces, voltages = _means(self._blocks.sum(axis=0)).tolist()
-        if sun[2] < LOWEST_SINE:
+        if sun[2] < LOWEST_SUN_SINE:
             self._judge_night(faces, sun)
         else:
             self._judge_day(faces, voltages, sun)
@@ -193,14 +193,14 @@ class FaceWatch:
         found = doubts(faces, voltages, sun, self._normals)
         if self.implausible(_ZENITH):
             # What is too much for a vertical face is judged by the zenith face, which is not believed now.
-            found[:_ZENITH] = [Doubt.NONE if doubt is Doubt.OVER else doubt for doubt in found[:_ZENITH]]
-        light = lit(faces, sun)
+            found[:_ZENITH] = [Doubt.NONE if doubt is Doubt.TOO_BRIGHT else doubt for doubt in found[:_ZENITH]]
+        light = is_lit(faces, sun)
         self._add_minute()
-        jumped = jumps(self._faces)
-        # `settled` still has some jumps that were close together: so a face that jumps is no witness against others.
+        jumped = find_jumps(self._faces)
+        # `without_jumps` leaves some jumps that were close together: so a face that jumps is no witness against others.
         jumping = np.logical_or.reduce(jumped.sure, axis=0).tolist()
-        followed = self._responses(jumped.settled, jumping)
-        against = self._contradiction_doubts(jumped.settled, jumping)
+        followed = self._responses(jumped.without_jumps, jumping)
+        against = self._contradiction_doubts(jumped.without_jumps, jumping)
         loose = [False] * len(FACES)
         if self._is_upright and len(self._suns) == MINUTES and any(jumping):
             loose = jumped.repeated(self._suns, [why in _SHOW_CLOUDS for why in self._whys]).tolist()
@@ -210,7 +210,7 @@ class FaceWatch:
             if followed[face] is Response.STAYS and doubt is not Doubt.SWAPPED:
                 doubt = Doubt.FROZEN
             if loose[face]:
-                doubt = Doubt.LOOSE
+                doubt = Doubt.LOOSE_CONTACT
             known = light and not math.isnan(faces[face])
             sound = known and doubt is Doubt.NONE and self._agrees(face, followed[face])
             self._count(face, doubt, sound=sound)
@@ -225,13 +225,13 @@ class FaceWatch:
 
     def _clear_torn_faces(self) -> None:
         """Believe the others again once it is known which face they contradicted."""
-        if Doubt.TORN in self._whys and any(why not in (Doubt.NONE, Doubt.TORN) for why in self._whys):
-            self._whys = [Doubt.NONE if why is Doubt.TORN else why for why in self._whys]
+        if Doubt.INCONSISTENT in self._whys and any(why not in (Doubt.NONE, Doubt.INCONSISTENT) for why in self._whys):
+            self._whys = [Doubt.NONE if why is Doubt.INCONSISTENT else why for why in self._whys]
 
     def _acquit(self) -> None:
         """Believe a frozen face again once it is known that another one has made it look frozen."""
-        face = self._contradictions.acquitted
-        if face is not None and self._whys[face] is Doubt.FROZEN and Doubt.ODD in self._whys:
+        face = self._contradictions.wrongly_frozen_face
+        if face is not None and self._whys[face] is Doubt.FROZEN and Doubt.CONTRADICTED in self._whys:
             self._whys[face] = Doubt.NONE
             self._bad_looks[face] = 0
 
@@ -259,11 +259,13 @@ class FaceWatch:
         if not self._is_upright or len(faces) < MINUTES:
             return [Response.UNKNOWN] * len(FACES)
         # Torn faces are included: if one of them stands still, that tells which one is wrong.
-        believed = [why in (Doubt.NONE, Doubt.TORN) and not jumping[face] for face, why in enumerate(self._whys)]
+        believed = [
+            why in (Doubt.NONE, Doubt.INCONSISTENT) and not jumping[face] for face, why in enumerate(self._whys)
+        ]
         found = responses(faces, self._suns, believed)
         if Response.STAYS in found:
             face, fit = found.index(Response.STAYS), misfits(faces, self._suns)
-            if fit is not None and not fit.bears(face):
+            if fit is not None and not fit.others_agree_without(face):
                 # If the others contradict each other, their prediction accuses nobody.
                 found[face] = Response.UNKNOWN
         return found
@@ -295,7 +297,7 @@ class FaceWatch:
         if not whys and not self._since:
             # Do not end the alarm: a fault that was acknowledged before a restart takes its time to be found again.
             return
-        self._since = kept_since(self._since, whys, self._clock)
+        self._since = update_since(self._since, whys, self._clock)
         self._alarms.set("cube-face", self._alarm_text(whys) if whys else None, of=whys)
 
     def _alarm_text(self, whys: Mapping[str, Doubt]) -> str:
@@ -304,8 +306,8 @@ class FaceWatch:
         checks: list[str] = []
         for doubt in dict.fromkeys(whys.values()):
             names = [name for name, why in whys.items() if why is doubt]
-            since = since_each({name: self._since[name] for name in names})
-            found.append(f"the {in_a_row(names)} {reads(names)} {_WHY[doubt]}; not used since {since}")
-            checks.append(f"check {_WHAT_TO_CHECK[doubt].format(in_a_row(names))}")
+            since = since_text({name: self._since[name] for name in names})
+            found.append(f"the {join_names(names)} {face_reads_text(names)} {_WHY[doubt]}; not used since {since}")
+            checks.append(f"check {_WHAT_TO_CHECK[doubt].format(join_names(names))}")
         until = "each agrees" if len(whys) > 1 else "it agrees"
         return f"{'; '.join(found)}, until {until} with the others again: {'; '.join(checks)}"

@@ -7,7 +7,7 @@ from numbers import Real
 from typing import TypeVar, get_args
 
 from daemon.base.clock import END_UTC_S, FIRST_UTC_S
-from daemon.base.errors import UserError, raised_at
+from daemon.base.errors import UserError, error_location
 from drivers.errors import DeviceError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw
 
@@ -63,7 +63,7 @@ class GuardedCube:
 
     def _describe(self, error: Exception) -> str:
         """Return an error in words, with the line that raised it; log its traceback the first time."""
-        kind, place = type(error).__name__, raised_at(error)
+        kind, place = type(error).__name__, error_location(error)
         if (kind, place) not in self._logged_errors:
             self._logged_errors.add((kind, place))
             log.error("the driver of the cube has failed", exc_info=error)

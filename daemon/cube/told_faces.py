@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar
 
-from daemon.base.alarms.alarms import Alarms, tells
+from daemon.base.alarms.alarms import Alarms, mentions_all
 from daemon.base.clock import Clock, minute_utc
 from daemon.base.records import FACES, Quality, Scan
 from drivers.interfaces import CubeReading
@@ -14,27 +14,27 @@ from drivers.interfaces import CubeReading
 _ALARM_SCANS = 10
 
 
-def in_a_row(names: Sequence[str]) -> str:
+def join_names(names: Sequence[str]) -> str:
     """Return names as they stand in a sentence: ``east, south and west``."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def reads(names: Sequence[str]) -> str:
+def face_reads_text(names: Sequence[str]) -> str:
     """Return the words between the names of faces and what they read."""
     return "faces read" if len(names) > 1 else "face reads"
 
 
-def kept_since(since: Mapping[str, str], names: Iterable[str], clock: Clock) -> dict[str, str]:
+def update_since(since: Mapping[str, str], names: Iterable[str], clock: Clock) -> dict[str, str]:
     """Return since when each of the names has been told: as in `since`, or from now on for a new name."""
     now = minute_utc(clock.utc())
     return {name: since.get(name, now) for name in names}
 
 
-def since_each(since: Mapping[str, str]) -> str:
+def since_text(since: Mapping[str, str]) -> str:
     """Return since when, with the names of faces only if the times differ."""
     if len(set(since.values())) == 1:
         return next(iter(since.values()))
-    return in_a_row([f"{at} ({name})" for name, at in since.items()])
+    return join_names([f"{at} ({name})" for name, at in since.items()])
 
 
 class _FaceAlarm(ABC):
@@ -68,7 +68,7 @@ class _FaceAlarm(ABC):
             counts = zip(FACES, self._counts, strict=True)
             faces = [name for name, count in counts if count == _ALARM_SCANS or (count > 0 and name in self._since)]
             if faces or self._since:
-                self._since = kept_since(self._since, faces, self._clock)
+                self._since = update_since(self._since, faces, self._clock)
         self._tell(scan)
 
     @abstractmethod
@@ -76,7 +76,7 @@ class _FaceAlarm(ABC):
         """Raise the alarm, or end it, by the faces that are in it after a scan."""
 
 
-class ToldFaces(_FaceAlarm):
+class RemoteFaceAlarm(_FaceAlarm):
     """Raises `cube-face` in the tracker's process, for faces that a cube on another machine does not believe."""
 
     _qualities = (Quality.IMPLAUSIBLE,)
@@ -86,11 +86,12 @@ class ToldFaces(_FaceAlarm):
         if not names:
             self._alarms.set("cube-face", None)
             return
-        text = f"the {in_a_row(names)} {reads(names)} what cannot be true; not used since {since_each(self._since)}"
+        reads = face_reads_text(names)
+        text = f"the {join_names(names)} {reads} what cannot be true; not used since {since_text(self._since)}"
         self._alarms.set("cube-face", f"{text}; the cube's own alarms say why", of=names)
 
 
-class ToldSensors:
+class SensorAlarm:
     """Raises `cube-sensor` for what sensors say of themselves, until they have not said it for ten scans.
 
     Parameters
@@ -129,12 +130,12 @@ class ToldSensors:
                 self._told_unread[place] = False
         told = {name: note for name, note in zip(FACES, self._notes, strict=True) if note}
         if told or self._since:
-            self._since = kept_since(self._since, told, self._clock)
+            self._since = update_since(self._since, told, self._clock)
         texts = [f"{note} (since {self._since[name]})" for name, note in told.items()]
         self._alarms.set("cube-sensor", "; ".join(texts) or None, of=told, worse=worse)
 
 
-class UnreadFaces(_FaceAlarm):
+class UnreadFaceAlarm(_FaceAlarm):
     """Raises `face-unread` for faces without a reading while others have one: the tracker goes on by three.
 
     A face whose digital sensor says so itself (`cube-sensor`) is not named twice.
@@ -143,13 +144,13 @@ class UnreadFaces(_FaceAlarm):
     _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING, Quality.LATE)
 
     def _tell(self, scan: Scan) -> None:
-        faces = [name for name in self._since if not tells(self._sensor_alarm_text(), (name,))]
+        faces = [name for name in self._since if not mentions_all(self._sensor_alarm_text(), (name,))]
         if not faces or len(self._since) == len(FACES):
             self._alarms.set("face-unread", None)
             return
         read = dict(zip(FACES, scan.faces, strict=True))
         if all(read[name].quality in self._qualities for name in faces):
-            each = in_a_row([f"{name} ({read[name].quality} since {self._since[name]})" for name in faces])
+            each = join_names([f"{name} ({read[name].quality} since {self._since[name]})" for name in faces])
             self._alarms.set("face-unread", f"no reading of {each} while other faces are read", of=faces)
 
     def _sensor_alarm_text(self) -> str:

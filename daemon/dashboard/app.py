@@ -22,13 +22,13 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from daemon.base.clock import Clock
-from daemon.base.places import EventStream, Places
+from daemon.base.places import ClientSlots, EventStream
 from daemon.dashboard.guard import PageGuard
 from daemon.dashboard.sessions import LONGEST_IDLE_S, Session, Sessions
 from daemon.dashboard.upstream import Fleet, Upstream
 
 STATIC = Path(__file__).with_name("static")
-KEPT = "is_kept"
+KEEP_OPEN_KEY = "is_kept"
 """This name is True in the state of a request whose connection must not be closed in favour of a new one."""
 
 _NO_SERVICE = "the program that answers is not a service of heliocube: see dashboard.services"
@@ -74,8 +74,8 @@ class Dashboard:
         self._fleet = fleet
         self._monotonic = clock.monotonic
         self._sessions = Sessions(clock.monotonic)
-        self._places = Places(_MOST_LISTENERS)
-        self._readers = Places(_MOST_READERS)
+        self._places = ClientSlots(_MOST_LISTENERS)
+        self._readers = ClientSlots(_MOST_READERS)
         self._closing = asyncio.Event()
         self._waits: set[asyncio.Timeout] = set()
         digest = _digest(STATIC)
@@ -117,7 +117,7 @@ class Dashboard:
         host = _host(request)
         if not self._places.are_free_for(host):
             raise HTTPException(503, "too many pages are open already; close some")
-        setattr(request.state, KEPT, True)
+        setattr(request.state, KEEP_OPEN_KEY, True)
         if request.method == "HEAD":
             return Response(media_type="text/event-stream", headers={"Cache-Control": "no-store"})
         return EventStream(self._stream(), self._places.taken_by(host))
@@ -161,8 +161,8 @@ class Dashboard:
     async def _login(self, request: Request) -> Response:
         given = await _body(request)
         token, by = str(given.get("token", "")).strip(), str(given.get("by", "")).strip()
-        if self._sessions.wait_s > 0:
-            raise HTTPException(429, f"too many wrong tokens: try again in {self._sessions.wait_s:.0f} s")
+        if self._sessions.lockout_s > 0:
+            raise HTTPException(429, f"too many wrong tokens: try again in {self._sessions.lockout_s:.0f} s")
         if not (0 < len(by) <= _LONGEST_NAME and by.isprintable()):
             raise HTTPException(400, f"say who you are, in 1 to {_LONGEST_NAME} letters: it goes into the records")
         if _TOKEN.fullmatch(token) is None:
@@ -173,7 +173,7 @@ class Dashboard:
         if not tokens:
             if all(yes is None for yes in accepted):
                 raise HTTPException(502, "no service answers now, so the token cannot be tried")
-            self._sessions.failed()
+            self._sessions.note_wrong_token()
             raise HTTPException(401, "no service takes this token: see api.token_file of the service's configuration")
         before = _session_name(request)
         known = self._sessions.find(before)
@@ -296,7 +296,7 @@ class Dashboard:
         session = self._sessions.find(_session_name(request))
         if session is None:
             raise HTTPException(401, "log in first")
-        setattr(request.state, KEPT, True)
+        setattr(request.state, KEEP_OPEN_KEY, True)
         return session
 
 

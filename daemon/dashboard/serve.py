@@ -16,13 +16,13 @@ import httpx
 import uvicorn
 from anyio.to_thread import current_default_thread_limiter
 
-from daemon.base.addresses import DEFAULT_DASHBOARD, SEND_NO_MORE_ONCE_CLOSED, Address, parse_address
+from daemon.base.addresses import DEFAULT_DASHBOARD, DROP_UNSENT_ON_CLOSE, Address, parse_address
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.piecewise import LONGEST_HEAD, READ_AT_ONCE, PiecewiseProtocol
-from daemon.base.process import Notifier, on_signals
-from daemon.config.links import DashboardSettings, section_of_guest
-from daemon.dashboard.app import KEPT, Dashboard
+from daemon.base.process import SystemdNotifier, on_signals
+from daemon.config.links import DashboardSettings, read_client_section
+from daemon.dashboard.app import KEEP_OPEN_KEY, Dashboard
 from daemon.dashboard.upstream import Fleet
 
 _GRACE_S = 1
@@ -92,7 +92,7 @@ class _Connection(PiecewiseProtocol):
     @property
     def is_kept(self) -> bool:
         """Whether it must not be closed in favour of a new connection, because it is being answered."""
-        return not self.is_waited_for and self.scope["state"].get(KEPT, False)
+        return not self.is_waited_for and self.scope["state"].get(KEEP_OPEN_KEY, False)
 
     def since_s(self) -> float:
         """Return when a request or an answer last began or ended here, by the loop's clock [s]."""
@@ -147,7 +147,7 @@ class _Connection(PiecewiseProtocol):
 
 def settings_of_file(path: Path | None) -> DashboardSettings:
     """Return the section [dashboard] of a file; raises `UserError`."""
-    return section_of_guest(path, "dashboard", DashboardSettings)
+    return read_client_section(path, "dashboard", DashboardSettings)
 
 
 def bind(listen: str) -> socket.socket:
@@ -174,13 +174,13 @@ def bind(listen: str) -> socket.socket:
 def url_of(bound: socket.socket) -> str:
     """Return the URL by which a browser of this machine reaches a listening socket."""
     host, port = bound.getsockname()[:2]
-    return f"http://{Address(host, port).reachable}"
+    return f"http://{Address(host, port).reachable_address}"
 
 
 def addresses(texts: Sequence[str]) -> list[Address]:
     """Return the services' addresses; raises `UserError` for one that is not valid."""
     try:
-        return [parse_address(text).reachable for text in texts]
+        return [parse_address(text).reachable_address for text in texts]
     except ValueError as error:
         raise UserError(f"--api: {error}") from None
 
@@ -190,7 +190,7 @@ async def serve(
     services: Sequence[Address],
     hosts: Collection[str],
     clock: Clock,
-    notifier: Notifier,
+    notifier: SystemdNotifier,
     parent: int | None = None,
 ) -> None:
     """Serve the dashboard of some services until SIGINT, SIGTERM or SIGHUP.
@@ -211,7 +211,7 @@ async def serve(
     # None is kept alive: the service may close a connection at the instant in which an order uses it.
     limits = httpx.Limits(max_connections=None, max_keepalive_connections=0)
     # The clients ignore the environment (`trust_env`): its proxies are for the world outside, not for the services.
-    once = httpx.AsyncHTTPTransport(limits=limits, socket_options=[SEND_NO_MORE_ONCE_CLOSED])
+    once = httpx.AsyncHTTPTransport(limits=limits, socket_options=[DROP_UNSENT_ON_CLOSE])
     async with (
         httpx.AsyncClient(trust_env=False, limits=limits) as client,
         httpx.AsyncClient(trust_env=False, transport=once) as orders,
@@ -272,7 +272,7 @@ def _await_end(descriptor: int, ended: Callable[[], None]) -> None:
     ended()
 
 
-async def _watchdog(notifier: Notifier) -> None:
+async def _watchdog(notifier: SystemdNotifier) -> None:
     while notifier.watchdog_interval_s is not None:
         notifier.watchdog()
         await asyncio.sleep(notifier.watchdog_interval_s)

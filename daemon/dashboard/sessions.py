@@ -67,12 +67,12 @@ class Sessions:
         self._sessions.pop(name or "", None)
 
     @property
-    def wait_s(self) -> float:
+    def lockout_s(self) -> float:
         """How long nobody may try a token, after too many that were wrong [s]."""
         now_s = self._monotonic()
         self._failures = [at_s for at_s in self._failures if now_s - at_s < _TRIES_WITHIN_S]
         return 0.0 if len(self._failures) < _TRIES else _TRIES_WITHIN_S - (now_s - self._failures[0])
 
-    def failed(self) -> None:
+    def note_wrong_token(self) -> None:
         """Note a wrong token."""
         self._failures.append(self._monotonic())

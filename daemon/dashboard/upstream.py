@@ -73,7 +73,7 @@ class Upstream:
         self, address: Address, client: httpx.AsyncClient, clock: Clock, changed: Callable[["Upstream"], None]
     ) -> None:
         self.name = str(address)
-        self.url = f"http://{address.reachable}"
+        self.url = f"http://{address.reachable_address}"
         self._client = client
         self._clock = clock
         self._changed = changed

@@ -16,7 +16,7 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 2.0, 64.0
 _OVER_AFTER_S = 3600.0
 # By then the service has switched off a mode that a person switched on at the unit.
 _STAYS_ON_S = 15.0
-OWN_MODE = "a mode of the positioner's own is on: sun tracking, wind or snow"
+AUTONOMOUS_MODE_TEXT = "a mode of the positioner's own is on: sun tracking, wind or snow"
 
 
 class Currents:
@@ -29,7 +29,7 @@ class Currents:
 
     Attributes
     ----------
-    told
+    warnings
         What is wrong with them: a sentence for each axis, and when it was last so [s].
     wants_stop
         A motor is on although its axis stands. Perhaps the last stop was not heard; or the axis moves, and stands only
@@ -42,11 +42,11 @@ class Currents:
         self._driven_since_s: float | None = None
         self._pause_s = _FIRST_PAUSE_S
         self._next_stop_s = float("-inf")
-        self.told: dict[str, float] = {}
+        self.warnings: dict[str, float] = {}
         self.wants_stop = False
 
     def update(self, telemetry: Telemetry, stands_since_s: float | None) -> None:
-        """Take in the newest telemetry; `told` keeps what is wrong until an hour has passed without it, or `forget`."""
+        """Take in the newest telemetry; `warnings` keeps what is wrong until an hour without it, or `forget`."""
         now_s = telemetry.time_monotonic_s
         standing = stands_since_s is not None and now_s - stands_since_s > _RUN_OUT_S
         driven = standing and any(current_a > _AT_REST_A for _, current_a in _currents_by_axis(telemetry))
@@ -57,10 +57,10 @@ class Currents:
             if text
         ]
         self._since_s = {text: self._since_s.get(text, now_s) for text in wrong}
-        told = self.told | {text: now_s for text, since_s in self._since_s.items() if now_s - since_s >= _LASTS_S}
-        self.told = {text: last_s for text, last_s in told.items() if now_s - last_s <= _OVER_AFTER_S}
+        told = self.warnings | {text: now_s for text, since_s in self._since_s.items() if now_s - since_s >= _LASTS_S}
+        self.warnings = {text: last_s for text, last_s in told.items() if now_s - last_s <= _OVER_AFTER_S}
 
-    def stopped(self, now_s: float) -> None:
+    def note_stop(self, now_s: float) -> None:
         """Take note that both axes have been stopped at a monotonic time [s]."""
         if self.wants_stop:
             self.wants_stop = False
@@ -68,18 +68,18 @@ class Currents:
             self._pause_s = min(2.0 * self._pause_s, _LONGEST_PAUSE_S)
 
     @property
-    def judges(self) -> bool:
+    def has_pending_fault(self) -> bool:
         """Whether a current is wrong at present, and will be told if it lasts."""
         return bool(self._since_s)
 
     @property
     def text(self) -> str | None:
         """All that is told, or None."""
-        return "; ".join(self.told) or None
+        return "; ".join(self.warnings) or None
 
     def forget(self) -> None:
         """Forget what was told: a person has looked."""
-        self.told, self._since_s = {}, {}
+        self.warnings, self._since_s = {}, {}
 
     def _judge_stop(self, telemetry: Telemetry, *, driven: bool) -> None:
         now_s = telemetry.time_monotonic_s
@@ -104,7 +104,7 @@ class Currents:
         return None
 
 
-class OwnMode:
+class AutonomousModeMonitor:
     """Whether a mode of the positioner's own stays on although the service switches it off.
 
     Attributes
@@ -124,20 +124,22 @@ class OwnMode:
         elif self._since_s is None:
             self._since_s = telemetry.time_monotonic_s
         elif telemetry.time_monotonic_s - self._since_s >= _STAYS_ON_S:
-            self.text = f"{OWN_MODE}; it cannot be switched off from here, and nothing is moved: do it at the unit"
+            self.text = (
+                f"{AUTONOMOUS_MODE_TEXT}; it cannot be switched off from here, and nothing is moved: do it at the unit"
+            )
 
 
 def _currents_by_axis(telemetry: Telemetry) -> tuple[tuple[str, float], tuple[str, float]]:
     return ("A", telemetry.a_motor_current_a), ("B", telemetry.b_motor_current_a)
 
 
-def show(
+def update_alarms(
     alarms: Alarms,
     doubts: Doubts,
     identity: PositionerIdentity | None,
     telemetry: Telemetry,
     currents: Currents,
-    own_mode: OwnMode,
+    autonomy: AutonomousModeMonitor,
 ) -> None:
     """Raise and end the alarms that follow from what is known of the positioner."""
     alarms.set("unexplained-motion", doubts.incident_of("motion"))
@@ -145,9 +147,11 @@ def show(
     conflicts = identity.setup_conflicts if identity else ()
     alarms.set("positioner-setup", "; ".join(conflicts) or None, of=conflicts)
     # It is no news that a fault goes away which somebody has seen: both sentences contain its name.
-    vanished, own = doubts.vanished, () if own_mode.text is None else (own_mode.text,)
-    faults = [*(fault_text(name) for name in telemetry.faults), *vanished.values(), *own]
-    alarms.set("positioner-fault", "; ".join(faults) or None, of=(*telemetry.faults, *vanished, *own))
-    lost = doubts.lost
-    alarms.set("reference", lost, of=() if lost is None else lost.split("; "))
-    alarms.set("motor-current", currents.text, of=currents.told)
+    vanished_faults, own = doubts.vanished_faults, () if autonomy.text is None else (autonomy.text,)
+    faults = [*(fault_text(name) for name in telemetry.faults), *vanished_faults.values(), *own]
+    alarms.set("positioner-fault", "; ".join(faults) or None, of=(*telemetry.faults, *vanished_faults, *own))
+    reference_alarm_text = doubts.reference_alarm_text
+    alarms.set(
+        "reference", reference_alarm_text, of=() if reference_alarm_text is None else reference_alarm_text.split("; ")
+    )
+    alarms.set("motor-current", currents.text, of=currents.warnings)

@@ -10,7 +10,7 @@ _LOOKS_IN_A_ROW = 2
 _STILL_S = 3.0
 
 
-class Deafness:
+class StopMonitor:
     """Judges the looks at a positioner between a stop and its standstill.
 
     Each look is compared with the last one that showed the axes elsewhere, not with the one before it: from one look to
@@ -30,7 +30,7 @@ class Deafness:
         self._place: Telemetry | None = None
         self._moving_looks = 0
 
-    def shows(self, seen: Telemetry, stop_s: float) -> bool:
+    def is_ignoring_stop(self, seen: Telemetry, stop_s: float) -> bool:
         """Take in a look; return whether the axes have moved on for more than 5 s after the monotonic time `stop_s`."""
         place = self._place
         if place is None or place.time_monotonic_s <= stop_s + _DEAF_AFTER_S:

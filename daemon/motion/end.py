@@ -9,7 +9,7 @@ from drivers.errors import DeviceError
 _LOOK_EVERY_S = 0.05
 
 
-async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
+async def stop_and_confirm(motion: Motion, clock: Clock, within_s: float) -> str | None:
     """Stop for good; return None once telemetry has shown both axes standing, else what is known, in a sentence.
 
     Parameters
@@ -22,7 +22,7 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
         How long to wait for the standstill.
     """
     start_s = clock.monotonic()
-    motion.end("the service ends")
+    motion.freeze_permanently("the service ends")
     unsent = ""
     try:
         async with asyncio.timeout(within_s):
@@ -43,7 +43,7 @@ async def finish(motion: Motion, clock: Clock, within_s: float) -> str | None:
 
 def _is_standing(motion: Motion, start_s: float) -> bool:
     telemetry = motion.telemetry
-    if telemetry is None or telemetry.time_monotonic_s < start_s or not motion.resting:
+    if telemetry is None or telemetry.time_monotonic_s < start_s or not motion.is_idle:
         return False
     return motion.stands_since_s is not None
 

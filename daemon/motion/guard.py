@@ -15,11 +15,11 @@ from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.sleeps import SleepGauge
-from daemon.motion.alarms import Currents, OwnMode, show
-from daemon.motion.deafness import Deafness
+from daemon.motion.alarms import AutonomousModeMonitor, Currents, update_alarms
+from daemon.motion.deafness import StopMonitor
 from daemon.motion.place import KeptPlace
 from daemon.motion.reference import Doubts
-from daemon.motion.watch import CLEAR, Stray, Watch
+from daemon.motion.watch import BLOCKED_UNTIL_CLEARED, AxisWatch, MotionAnomaly
 from drivers.errors import DeviceError, StillMovingError
 from drivers.interfaces import Positioner, PositionerIdentity, Repeating, Telemetry
 from drivers.settings import PositionerSettings
@@ -28,7 +28,7 @@ log = logging.getLogger("heliocube.motion")
 
 T = TypeVar("T")
 
-LOOK_MOVING_S = 0.5
+MOVING_POLL_INTERVAL_S = 0.5
 # Pauses between the tries to stop a positioner that does not listen; they never end while it moves.
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 4.0
 # Within this time a positioner reports buttons and restarts, however slow its status is.
@@ -61,7 +61,7 @@ class Guard:
 
     Attributes
     ----------
-    rested
+    rest_pose
         Where the tracker stood when it was seen last with nothing ordered; None while something is ordered.
     identity
         Identity of the unit that is or was connected last.
@@ -71,9 +71,9 @@ class Guard:
         Somebody wants both axes to be stopped, and they have not been seen to stand since.
     homing, clearing
         A reference run of ours is on; the unit's marks are being cleared by us.
-    stray
-        Motion that nothing explains, not yet dealt with by `quell`.
-    own_mode
+    anomaly
+        Motion that nothing explains, not yet dealt with by `stop_unexplained_motion`.
+    autonomy
         Whether a mode of the positioner's own stays on.
     """
 
@@ -96,16 +96,16 @@ class Guard:
         self._publish = publish
         self._alarms = alarms
         self._polled = polled
-        self.watch = watch = Watch(expected)
+        self.watch = watch = AxisWatch(expected)
         # As long as the slowest motion takes for three steps of a rounded position.
-        self._deafness = Deafness(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
+        self._stop_monitor = StopMonitor(watch.same_place, 3.0 * expected.resolution() / expected.slowest_deg_per_s)
         self._currents = Currents(expected.current_alarm_a)
-        self.own_mode = OwnMode()
+        self.autonomy = AutonomousModeMonitor()
         self._own_moves: tuple[str, ...] = ()
         self._reported_pose: Pose | None = None
         self._pressed_s = self._reported_buttons_s = self._judged_s = float("-inf")
         self._sleeps = SleepGauge(clock)
-        self._stray_telemetry: Telemetry | None = None
+        self._anomaly_telemetry: Telemetry | None = None
         self._reset_before = False
         self._motion_under_inquiry: str | None = None
         self._halted_faults: tuple[str, ...] = ()
@@ -117,13 +117,13 @@ class Guard:
         self._target: Target | None = None
         # Time of the last glance, monotonic and UTC [s].
         self._last_glance_s: tuple[float, float] | None = None
-        self.rested: Pose | None = None
+        self.rest_pose: Pose | None = None
         self.identity: PositionerIdentity | None = None
         self.frozen: str | None = None
         self.halt_wanted = False
         self.homing = False
         self.clearing = False
-        self.stray: Stray | None = None
+        self.anomaly: MotionAnomaly | None = None
 
     @property
     def telemetry(self) -> Telemetry | None:
@@ -132,7 +132,7 @@ class Guard:
         return self._telemetry
 
     @property
-    def judged(self) -> Telemetry | None:
+    def telemetry_as_read(self) -> Telemetry | None:
         """The newest look as it was read: it shows the same as `telemetry`, but its times may be 5 s older."""
         return self._telemetry
 
@@ -148,9 +148,9 @@ class Guard:
         Telemetry that only repeats the last look was judged before, and time alone changes nothing about it.
         """
         told, since_s, now_s = self._reported_pose, self.watch.stands_since_s, self._clock.monotonic()
-        if self.rested is None or told is None or now_s - told.time_monotonic_s >= _POSE_EVERY_S:
+        if self.rest_pose is None or told is None or now_s - told.time_monotonic_s >= _POSE_EVERY_S:
             return False
-        if since_s is None or now_s - since_s < _JUDGED_AFTER_S or self._currents.judges:
+        if since_s is None or now_s - since_s < _JUDGED_AFTER_S or self._currents.has_pending_fault:
             return False
         again_s = self._repeats.repeated_s(self._read) if self._repeats and self._read else None
         if again_s is None:
@@ -164,12 +164,12 @@ class Guard:
         if repeated is None or telemetry is None or pose is None:
             return
         self._last_glance_s, (at_s, utc_s) = None, repeated
-        self._telemetry = telemetry.again(at_s)
+        self._telemetry = telemetry.with_time(at_s)
         self._pose = replace(pose, time_monotonic_s=at_s, time_utc_s=utc_s)
-        self.watch.repeated(self._telemetry)
+        self.watch.note_repeat(self._telemetry)
 
     @property
-    def unexplained(self) -> str | None:
+    def unexplained_motion(self) -> str | None:
         """What moved without an order or did not stop, or None."""
         return self.doubts.incident or self._motion_under_inquiry
 
@@ -188,24 +188,24 @@ class Guard:
         """Monotonic time since which both axes have been seen unmoved; None while a stop is on its way."""
         return None if self.halt_wanted else self.watch.stands_since_s
 
-    def lost(self) -> None:
+    def note_link_loss(self) -> None:
         """Know nothing until the link is back, but keep motion that was seen and that no button explains."""
-        stray = self.stray
-        if stray is not None and self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
-            self.doubts.note("motion", stray.incident(self.frozen))
-        self._telemetry = self.stray = None
+        anomaly = self.anomaly
+        if anomaly is not None and self._pressed_s <= anomaly.seen_s - _STATUS_WITHIN_S:
+            self.doubts.add_incident("motion", anomaly.incident_text(self.frozen))
+        self._telemetry = self.anomaly = None
         self.homing = self.clearing = False
         self.watch.forget()
 
     def forget(self) -> None:
         """Forget the currents told of, and where an axis would stand if a doubt were right: a person has looked."""
         self._currents.forget()
-        self._place.leaves(None)
+        self._place.note_departure(None)
 
-    def departs(self, target: Target | None) -> None:
+    def note_departure(self, target: Target | None) -> None:
         """Take note that the axes are about to be sent off (None: to home): they go there even if the service dies."""
-        self.rested, self._target = None, target
-        self._place.leaves(target)
+        self.rest_pose, self._target = None, target
+        self._place.note_departure(target)
 
     async def poll(self, *, moving: bool) -> Telemetry:
         """Read and judge telemetry; `moving` says whether something was ordered to move."""
@@ -219,17 +219,17 @@ class Guard:
         self.doubts.see(telemetry, clearing=self.clearing)
         self._judge(before, telemetry)
         self._currents.update(telemetry, None if moving else self.watch.stands_since_s)
-        self.own_mode.update(telemetry)
+        self.autonomy.update(telemetry)
         self._raise_alarms(telemetry)
         self._note_pose(telemetry, moving=moving)
         self._polled()
         return telemetry
 
     def _raise_alarms(self, telemetry: Telemetry) -> None:
-        alarmed = self.doubts.changes, telemetry.faults, self.identity, self._currents.text, self.own_mode.text
+        alarmed = self.doubts.change_count, telemetry.faults, self.identity, self._currents.text, self.autonomy.text
         if alarmed != self._alarmed_state:
             self._alarmed_state = alarmed
-            show(self._alarms, self.doubts, self.identity, telemetry, self._currents, self.own_mode)
+            update_alarms(self._alarms, self.doubts, self.identity, telemetry, self._currents, self.autonomy)
 
     async def expect_move(self) -> None:
         """Let motion towards the destinations pass from now on: the unit has just confirmed a target."""
@@ -248,42 +248,42 @@ class Guard:
                 await asyncio.sleep(pause_s)
                 pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
         self.halt_wanted = False
-        self._currents.stopped(self._clock.monotonic())
+        self._currents.note_stop(self._clock.monotonic())
         # The next look may still show a status from before the stop.
         self._judged_s = self._clock.monotonic()
         telemetry = await self.poll(moving=False)
-        self.watch.rest(telemetry)
+        self.watch.note_rest(telemetry)
         self._halted_faults = telemetry.faults
 
-    async def quell(self) -> bool:
+    async def stop_unexplained_motion(self) -> bool:
         """Stop stray motion until the axes stand; return whether a person or a restart explains it.
 
         Motion that nothing explains is reported and blocks every move.
         """
-        stray, seen = self.stray, self._stray_telemetry
-        assert stray is not None and seen is not None  # noqa: S101, PT018 - narrowing for the type checker
-        text = stray.incident(self.frozen)
-        if self._pressed_s <= stray.seen_s - _STATUS_WITHIN_S:
+        anomaly, seen = self.anomaly, self._anomaly_telemetry
+        assert anomaly is not None and seen is not None  # noqa: S101, PT018 - narrowing for the type checker
+        text = anomaly.incident_text(self.frozen)
+        if self._pressed_s <= anomaly.seen_s - _STATUS_WITHIN_S:
             self._motion_under_inquiry = text
         explained = False
         try:
             await self.halt()
-            self.stray = None
-            explained = await self._wait_for_explanation(stray, seen)
+            self.anomaly = None
+            explained = await self._wait_for_explanation(anomaly, seen)
         finally:
             self._motion_under_inquiry = None
             if not explained:
-                self.doubts.note("motion", text)
+                self.doubts.add_incident("motion", text)
         return explained
 
     async def _poll_halt(self, start_s: float) -> None:
         telemetry = await self.poll(moving=True)
         # A person who presses a button moves the axis against any stop.
-        if self._deafness.shows(telemetry, max(start_s, self._pressed_s)):
+        if self._stop_monitor.is_ignoring_stop(telemetry, max(start_s, self._pressed_s)):
             text = "the positioner does not obey stop: switch off the supply of its motors"
-            self.doubts.note("deaf", f"{text}; {CLEAR}")
+            self.doubts.add_incident("deaf", f"{text}; {BLOCKED_UNTIL_CLEARED}")
 
-    async def attended(self, call: Coroutine[Any, Any, T], ends: Callable[[], bool] = lambda: False) -> T:
+    async def run_guarded(self, call: Coroutine[Any, Any, T], ends: Callable[[], bool] = lambda: False) -> T:
         """Return what a call of the driver returns; meanwhile poll the positioner and stop stray motion.
 
         When `ends` returns True, a stop is sent to end the call, which is then refused.
@@ -291,8 +291,8 @@ class Guard:
 
         async def poll_and_quell() -> None:
             await self.poll(moving=self.homing)
-            if self.stray is not None:
-                await self.quell()
+            if self.anomaly is not None:
+                await self.stop_unexplained_motion()
             elif ends():
                 await self._positioner.stop()
 
@@ -302,7 +302,7 @@ class Guard:
         task = asyncio.ensure_future(call)
         try:
             while True:
-                await asyncio.wait((task,), timeout=LOOK_MOVING_S)
+                await asyncio.wait((task,), timeout=MOVING_POLL_INTERVAL_S)
                 if task.done():
                     return task.result()
                 await poll()
@@ -313,45 +313,45 @@ class Guard:
                 await task
 
     def _judge(self, before: Telemetry | None, telemetry: Telemetry) -> None:
-        stray = self.watch.update(telemetry, self._clock.monotonic() + self._sleeps.take_s())
+        anomaly = self.watch.update(telemetry, self._clock.monotonic() + self._sleeps.take_s())
         told = telemetry.homing and telemetry.status_monotonic_s > self._judged_s + _STATUS_LATE_S
         # During a move of ours the homing bit alone says nothing: it may come from the other axis' motion.
-        own_run = told and not self.watch.on_its_way
+        own_run = told and not self.watch.is_motion_expected
         # A run that ends at its switch before the next look has set the count anew, and shows only as a jump.
-        ended = stray is not None and stray.jump and before is not None and before.aims_home
-        if not self.homing and (own_run or ended or (stray is not None and (told or telemetry.aims_home))):
+        ended = anomaly is not None and anomaly.is_count_jump and before is not None and before.aims_home
+        if not self.homing and (own_run or ended or (anomaly is not None and (told or telemetry.aims_home))):
             text = "the positioner made a reference run of its own"
-            self.doubts.doubt("own run", f"{text}, its count may have changed: home it")
-            stray = Stray(text, telemetry.time_monotonic_s) if stray is None or ended else stray
-        if stray is None:
+            self.doubts.add_doubt("own run", f"{text}, its count may have changed: home it")
+            anomaly = MotionAnomaly(text, telemetry.time_monotonic_s) if anomaly is None or ended else anomaly
+        if anomaly is None:
             return
-        if stray.jump:
-            self.doubts.doubt("jump", f"{stray.text}, the reference may be lost: {self.doubts.remedy}")
+        if anomaly.is_count_jump:
+            self.doubts.add_doubt("jump", f"{anomaly.text}, the reference may be lost: {self.doubts.remedy}")
             # On the rest of a way the unit would go on by the wrong count, perhaps beyond a limit.
-            self.halt_wanted |= self.rested is None
-        elif self.stray is None:
-            self.stray = stray
-            self._stray_telemetry = telemetry
+            self.halt_wanted |= self.rest_pose is None
+        elif self.anomaly is None:
+            self.anomaly = anomaly
+            self._anomaly_telemetry = telemetry
             self._reset_before = before is not None and before.was_reset
 
-    async def _wait_for_explanation(self, stray: Stray, seen: Telemetry) -> bool:
+    async def _wait_for_explanation(self, anomaly: MotionAnomaly, seen: Telemetry) -> bool:
         """Wait for a status that is younger than the motion; tell whether a person or a restart explains it."""
         deadline_s = self._clock.monotonic() + _STATUS_WITHIN_S
         while True:
             telemetry = await self.poll(moving=False)
-            if self.stray is not None:
+            if self.anomaly is not None:
                 await self.halt()
-                self.stray = None
-            if self._pressed_s > stray.seen_s - _STATUS_WITHIN_S:
-                self._report_buttons(stray)
+                self.anomaly = None
+            if self._pressed_s > anomaly.seen_s - _STATUS_WITHIN_S:
+                self._report_buttons(anomaly)
                 return True
             restarted = telemetry.was_reset and not (self._reset_before or telemetry.autonomous)
             if restarted and self.watch.same_place(seen, telemetry):
                 # The count has changed with the restart, and nothing has moved since: that is a doubt.
                 return True
-            if self._clock.monotonic() >= deadline_s or telemetry.status_monotonic_s > stray.seen_s + _STATUS_LATE_S:
+            if self._clock.monotonic() >= deadline_s or telemetry.status_monotonic_s > anomaly.seen_s + _STATUS_LATE_S:
                 return False
-            await asyncio.sleep(LOOK_MOVING_S)
+            await asyncio.sleep(MOVING_POLL_INTERVAL_S)
 
     def _note_own_moves(self, telemetry: Telemetry) -> None:
         # The drive's own moves may be known only some seconds after the connection.
@@ -371,12 +371,12 @@ class Guard:
             moving=moving,
         )
         self._pose = pose
-        self.rested = pose if self.watch.settled and not moving else None
-        if self.rested is None:
-            self._place.leaves(self._target)
+        self.rest_pose = pose if self.watch.settled and not moving else None
+        if self.rest_pose is None:
+            self._place.note_departure(self._target)
         else:
             self._target = None
-            self._place.rests(pose)
+            self._place.note_rest(pose)
         if (
             told is None
             or moving
@@ -389,10 +389,10 @@ class Guard:
             self._reported_pose = pose
             self._publish(pose)
 
-    def _report_buttons(self, stray: Stray) -> None:
-        if stray.seen_s - self._reported_buttons_s > _TELL_BUTTONS_EVERY_S:
-            self._reported_buttons_s = stray.seen_s
-            text = f"{stray.text}: a button is pressed at the unit"
+    def _report_buttons(self, anomaly: MotionAnomaly) -> None:
+        if anomaly.seen_s - self._reported_buttons_s > _TELL_BUTTONS_EVERY_S:
+            self._reported_buttons_s = anomaly.seen_s
+            text = f"{anomaly.text}: a button is pressed at the unit"
             log.info(text)
             self._publish(self._event(text))
 

@@ -16,16 +16,16 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage, Reconnection
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.state import StateFolder
-from daemon.base.timeloop import look_until
+from daemon.base.timeloop import wait_or_poll
 from daemon.config.sections import MotionSettings
 from daemon.motion.guard import Guard
 from daemon.motion.parting import try_for
-from daemon.motion.place import KeptPlace, elsewhere
+from daemon.motion.place import KeptPlace, displacement_text
 from daemon.motion.polling import OFTEN, Polling
 from daemon.motion.reference import Doubts, remedy_of
 from daemon.motion.rehoming import Rehoming
 from daemon.motion.retry import Retries
-from daemon.motion.runs import Runs
+from daemon.motion.runs import Mover
 from daemon.motion.state import MotionState
 from drivers.errors import DeviceError, DriverHungError, RefusedError
 from drivers.interfaces import Positioner
@@ -60,7 +60,7 @@ class Motion(MotionState):
         Where the alarms about the positioner are raised.
     folder
         Where doubts, and where the axes rest, are kept over a restart.
-    polling, begins_anew
+    polling, has_fixed_start_pose
         How often to look at the positioner; whether its earlier place of rest tells nothing.
     """
 
@@ -78,7 +78,7 @@ class Motion(MotionState):
         folder: StateFolder,
         polling: Polling = OFTEN,
         *,
-        begins_anew: bool = False,
+        has_fixed_start_pose: bool = False,
     ) -> None:
         self._positioner = positioner
         self._limits = limits
@@ -87,14 +87,14 @@ class Motion(MotionState):
         self._on_change = changed
         self._polling = polling
         doubts = Doubts(folder, remedy_of(has_reference_run=expected.has_reference_run))
-        place = KeptPlace(folder, positioner, doubts.reference, begins_anew=begins_anew)
+        place = KeptPlace(folder, positioner, doubts.reference, has_fixed_start_pose=has_fixed_start_pose)
         guard = Guard(positioner, expected, doubts, place, clock, publish, alarms, self._note_readiness)
         retries = Retries(settings.retry_after_s, alarms)
         self._has_reference_run = expected.has_reference_run
         self._rehoming = Rehoming(enabled=settings.rehome == "automatic" and expected.has_reference_run)
         self._wake = wake = asyncio.Event()
         every_s = polling.moving_s
-        runs = Runs(positioner, guard, limits, settings, expected, retries, clock, publish, changed, wake, every_s)
+        runs = Mover(positioner, guard, limits, settings, expected, retries, clock, publish, changed, wake, every_s)
         super().__init__(guard, runs, retries, Outage(log, "the positioner"), clock)
         self._reconnection = Reconnection(
             self.outage, random, clock.monotonic, self._notify, lost=DeviceError, hopeless=(DriverHungError,)
@@ -104,24 +104,23 @@ class Motion(MotionState):
         self._home_wanted = False
         self._clear_wanted: tuple[str, ...] | None = None
         self._pose_before_loss: Pose | None = None
-        self._was_connected = self._moved_at_loss = False
+        self._was_connected = self._moved_at_loss = self._ended = False
         self._was_ready = (False, False)
-        self._ended = False
         self.may_rehome = False
 
     @property
-    def looks_every_s(self) -> float:
+    def poll_interval_s(self) -> float:
         """The longest time [s] between two looks at a positioner that answers."""
         return self._polling.idle_s
 
     @property
-    def resting(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether nothing moves and nothing that was asked for waits to be taken up."""
         asked = self._wanted_order or self._home_wanted or self._clear_wanted is not None or self._guard.must_halt
         return not (self.moving or asked) and self.connected
 
     @property
-    def goes_home(self) -> bool:
+    def is_homing_or_queued(self) -> bool:
         """Whether a reference run of ours is on, or was asked for and comes next."""
         return self.homing or self._home_wanted
 
@@ -170,11 +169,12 @@ class Motion(MotionState):
         self._refuse_frozen()
         conflicts = "; ".join(self.identity.setup_conflicts) if self.identity else ""
         unseen = None if self.connected else "no telemetry"
-        obstacle = self.unexplained or conflicts or unseen or self._guard.own_mode.text
+        obstacle = self.unexplained_motion or conflicts or unseen or self._guard.autonomy.text
         if obstacle:
             # Once cleared, the tracker goes to work, however wrong its count is.
-            wait = "; give 'heliocube hold' first, so that the tracker waits to be homed" if self.unexplained else ""
-            raise RefusedError("positioner", f"cannot be homed: {obstacle}{wait}")
+            if self.unexplained_motion:
+                obstacle += "; give 'heliocube hold' first, so that the tracker waits to be homed"
+            raise RefusedError("positioner", f"cannot be homed: {obstacle}")
         self._home_wanted = True
         self._wanted_order = None
         self._runs.interrupt()
@@ -191,20 +191,20 @@ class Motion(MotionState):
         self._clear_wanted = self.concerns if shown is None else shown
         self._wake.set()
 
-    def forget_waiting(self) -> None:
+    def cancel_waiting_order(self) -> None:
         """Drop an order that has not begun: it comes next, or waits for the pause after a failure."""
         if (order := self._due_order()) is not None:
             self._tell_obstacle(stow=order[1])
         self._wanted_order = None
 
-    def forget_order(self) -> None:
+    def cancel_move(self) -> None:
         """Drop the last order, and stop the move to its target; a reference run goes on."""
         self._wanted_order = None
         if self.target is not None:
             self._runs.interrupt()
             self._wake.set()
 
-    def rest(self) -> None:
+    def request_stop(self) -> None:
         """Ask for whatever moves to be stopped, by the task that moves it."""
         self._wanted_order = None
         self._home_wanted = False
@@ -214,17 +214,17 @@ class Motion(MotionState):
     def freeze(self, why: str | None) -> None:
         """Let nothing move while there is a reason, and stop what moves until it stands; None lets go.
 
-        After `end` it changes nothing.
+        After `freeze_permanently` it changes nothing.
         """
         if self._ended:
             return
         if why is not None and self._guard.frozen is None:
-            self.rest()
+            self.request_stop()
             self._drop_clear("a stop came")
             self._guard.halt_wanted = True
         self._guard.frozen = why
 
-    def end(self, why: str) -> None:
+    def freeze_permanently(self, why: str) -> None:
         """Let nothing move any more, whatever anybody asks for later."""
         self.freeze(why)
         self._ended = True
@@ -234,7 +234,7 @@ class Motion(MotionState):
 
         Raises `DeviceError` when the positioner cannot be reached; the stop is then sent again on reconnection.
         """
-        self.rest()
+        self.request_stop()
         self._guard.halt_wanted = True
         await self._positioner.stop()
 
@@ -258,7 +258,7 @@ class Motion(MotionState):
         """Whatever ended this task, a cancellation or a defect, must not leave an axis running."""
         try:
             # A move has forgotten its target by now, and an axis just sent off seems to stand until a look shows it.
-            if self.connected and (self._guard.rested is None or self.stands_since_s is None):
+            if self.connected and (self._guard.rest_pose is None or self.stands_since_s is None):
                 await try_for(self._positioner.halt(), _HALT_AT_END_S)
         finally:
             await self._positioner.close()
@@ -267,7 +267,7 @@ class Motion(MotionState):
         guard = self._guard
         guard.identity = identity = await self._positioner.open()
         # If the link is lost again before the comparison below, the next connection makes it.
-        self._pose_before_loss = guard.rested or self._pose_before_loss
+        self._pose_before_loss = guard.rest_pose or self._pose_before_loss
         # A move ordered before the loss, by us or by a program before us, may still be on.
         await guard.halt()
         pose, telemetry = guard.pose, guard.telemetry
@@ -276,13 +276,13 @@ class Motion(MotionState):
         told = self._note_link(f"{identity.board}, firmware {identity.firmware}{serial}")
         before, self._pose_before_loss = self._pose_before_loss, None
         tolerance_deg = self._settings.tolerance_deg
-        off_its_way = guard.watch.off_its_way(telemetry, tolerance_deg)
-        text = (before and elsewhere(before, pose, tolerance_deg)) or off_its_way
+        off_course_text = guard.watch.off_course_text(telemetry, tolerance_deg)
+        text = (before and displacement_text(before, pose, tolerance_deg)) or off_course_text
         if text and told:
             self._report(text)
         if text and not telemetry.reference_doubt:
             how = "clear or home it" if self._has_reference_run else "clear it"
-            guard.doubts.doubt("jump", f"{text}: compare the angles with the arms, then {how}")
+            guard.doubts.add_doubt("jump", f"{text}: compare the angles with the arms, then {how}")
 
     def _note_link(self, name: str = "") -> bool:
         """Take note that the unit answers; return whether that was news."""
@@ -291,11 +291,11 @@ class Motion(MotionState):
             if not self.outage.is_down:
                 log.info("the positioner is connected: %s", name)
                 return True
-        return self._reconnection.works(name)
+        return self._reconnection.note_working(name)
 
     def _forget(self) -> None:
-        self._moved_at_loss = self.connected and self._guard.rested is None
-        self._guard.lost()
+        self._moved_at_loss = self.connected and self._guard.rest_pose is None
+        self._guard.note_link_loss()
         self._wanted_order = None
         self._home_wanted = False
         self._drop_clear("the positioner was lost")
@@ -318,7 +318,7 @@ class Motion(MotionState):
             await self._guard.poll(moving=False)
             self._note_link()
             if not await self._do_what_is_asked():
-                await look_until(self._wake, self._polling.idle_s, self._needs_look)
+                await wait_or_poll(self._wake, self._polling.idle_s, self._needs_look)
 
     def _needs_look(self) -> bool:
         """Glance at a unit that rests; tell whether it has to be looked at, or a pause is over."""
@@ -337,8 +337,8 @@ class Motion(MotionState):
         guard = self._guard
         telemetry = guard.telemetry
         assert telemetry is not None  # noqa: S101 - narrowing for the type checker; there was a look just now
-        if guard.stray is not None:
-            await guard.quell()
+        if guard.anomaly is not None:
+            await guard.stop_unexplained_motion()
             self._on_change()
         elif guard.must_halt:
             await guard.halt()
@@ -346,11 +346,11 @@ class Motion(MotionState):
             shown, self._clear_wanted = self._clear_wanted, None
             await self._runs.clear(shown, self._stow_can_go)
         elif telemetry.autonomous:
-            if self._home_wanted and guard.own_mode.text:
+            if self._home_wanted and guard.autonomy.text:
                 # The mode can only be switched off at the unit, by a person who then stands there.
                 self._home_wanted = False
-                self._report(f"homing refused: {guard.own_mode.text}")
-            await self._runs.free()
+                self._report(f"homing refused: {guard.autonomy.text}")
+            await self._runs.disable_autonomous_modes()
         elif self._home_wanted:
             self._home_wanted = False
             await self._runs.home()
@@ -369,7 +369,7 @@ class Motion(MotionState):
 
     def _stow_can_go(self) -> bool:
         """Whether a stow waits that nothing hinders; a unit may take no target after a restart until it is cleared."""
-        order, telemetry = self._due_order(), self._guard.judged
+        order, telemetry = self._due_order(), self._guard.telemetry_as_read
         hindered = self.blocked is not None or (telemetry is not None and telemetry.was_reset)
         return order is not None and order[1] and not hindered
 

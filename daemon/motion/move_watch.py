@@ -5,7 +5,7 @@ from enum import StrEnum
 
 from daemon.base.records import Pose, Target
 from daemon.config.sections import MotionSettings
-from daemon.motion.watch import elsewhere, jitter
+from daemon.motion.watch import displacement_threshold, jitter
 from drivers.interfaces import Telemetry
 from drivers.settings import PositionerSettings
 from solar.frames import Limits
@@ -67,7 +67,7 @@ class MoveWatch:
                 _AxisPath("B", start.b_deg, target.b_deg, limits.b_min_deg, limits.b_max_deg, settings.tolerance_deg),
             )
         self._start_s = now_s
-        self._jitter, self._elsewhere_distance = jitter(expected), elsewhere(expected)
+        self._jitter, self._displacement_threshold = jitter(expected), displacement_threshold(expected)
         step_s = expected.resolution() / expected.slowest_deg_per_s
         self._stands_after_s = max(_STANDS_AFTER_S, _STANDS_STEPS * step_s)
         self._stalled_after_s = max(_STALLED_AFTER_S, _STALLED_STEPS * step_s)
@@ -108,7 +108,7 @@ class MoveWatch:
 
     def _aims_elsewhere(self, telemetry: Telemetry) -> bool:
         left = telemetry.destination_a - telemetry.position_a, telemetry.destination_b - telemetry.position_b
-        return not all(abs(way) <= self._elsewhere_distance for way in left)
+        return not all(abs(way) <= self._displacement_threshold for way in left)
 
     def _is_at_target(self, angles: tuple[float, float]) -> bool:
         wanted = (self._target.a_deg, self._target.b_deg)

@@ -40,20 +40,22 @@ class KeptPlace:
         Not connected yet. Nothing is kept for a positioner that makes no use of it.
     doubt
         Why its reference has been in doubt since before the restart, or None.
-    begins_anew
+    has_fixed_start_pose
         True where the earlier place of rest tells nothing; then nothing is kept.
     """
 
-    def __init__(self, folder: StateFolder, positioner: Positioner, doubt: str | None, *, begins_anew: bool) -> None:
+    def __init__(
+        self, folder: StateFolder, positioner: Positioner, doubt: str | None, *, has_fixed_start_pose: bool
+    ) -> None:
         self._file = StateFile(folder, FILE_NAME, _KeptPositions, log, "where the axes stand")
-        self._positioner = positioner if isinstance(positioner, Recalling) and not begins_anew else None
+        self._positioner = positioner if isinstance(positioner, Recalling) and not has_fixed_start_pose else None
         self._rested: Pose | None = None
         self._kept = _KeptPositions()
         if self._positioner is not None:
             kept = self._load()
             self._positioner.recall(kept.a, kept.b, doubt or "")
 
-    def leaves(self, to: Target | None) -> None:
+    def note_departure(self, to: Target | None) -> None:
         """Keep the place of an axis only if it stays there on the way to a target; keep none if there is no target."""
         rested = self._rested
         if rested is None:
@@ -66,13 +68,13 @@ class KeptPlace:
         if left != self._kept:
             self._keep(left)
 
-    def rests(self, pose: Pose) -> None:
+    def note_rest(self, pose: Pose) -> None:
         """Take note that both axes have come to rest."""
         if self._positioner is None:
             return
         a, b = self._positioner.standing()
         known, kept = (a is None, b is None), (self._kept.a is None, self._kept.b is None)
-        if known == kept and self._rested and not elsewhere(self._rested, pose, _CHANGED_DEG):
+        if known == kept and self._rested and not displacement_text(self._rested, pose, _CHANGED_DEG):
             return
         self._rested = pose
         self._keep(_KeptPositions(a=a, b=b))
@@ -89,7 +91,7 @@ class KeptPlace:
             return _KeptPositions()
 
 
-def elsewhere(before: Pose, now: Pose, tolerance_deg: float) -> str:
+def displacement_text(before: Pose, now: Pose, tolerance_deg: float) -> str:
     """Return in words that an axis stands elsewhere than before; empty if neither does. NaN is elsewhere."""
     turned = abs(before.a_deg - now.a_deg), abs(before.b_deg - now.b_deg)
     if all(way <= tolerance_deg for way in turned):

@@ -94,11 +94,11 @@ class Doubts:
     ----------
     reference
         Why the reference is in doubt, or None.
-    lost
-        The same without the doubts of `vanished`, which have an alarm of their own.
+    reference_alarm_text
+        The same without the doubts of `vanished_faults`, which have an alarm of their own.
     incident
         What moved without an order or did not stop, or None.
-    changes
+    change_count
         Grows with every change, for those who show it.
     """
 
@@ -111,13 +111,13 @@ class Doubts:
         self._incidents = dict(kept.incidents)
         self._faults = tuple(kept.faults)
         self._homing = False
-        self.changes = 0
+        self.change_count = 0
         self._sum_up()
         if kept.homing:
-            self.doubt("homing", NOT_FINISHED)
+            self.add_doubt("homing", NOT_FINISHED)
 
     @property
-    def vanished(self) -> dict[str, str]:
+    def vanished_faults(self) -> dict[str, str]:
         """The doubts about faults that went away by themselves, by the names of the faults."""
         return {
             kind.removeprefix(_FAULT_PREFIX): text
@@ -134,11 +134,11 @@ class Doubts:
         """Return one incident, or None."""
         return self._incidents.get(kind)
 
-    def doubt(self, kind: str, text: str) -> None:
+    def add_doubt(self, kind: str, text: str) -> None:
         """Keep a doubt; a new text for one of the same kind replaces the old one."""
         self._put(self._doubts, kind, text)
 
-    def note(self, kind: str, text: str) -> None:
+    def add_incident(self, kind: str, text: str) -> None:
         """Keep an incident; the first of a kind stays until it has been cleared."""
         if kind not in self._incidents:
             self._put(self._incidents, kind, text)
@@ -146,18 +146,18 @@ class Doubts:
     def see(self, telemetry: Telemetry, *, clearing: bool) -> None:
         """Take in what telemetry says about reference and faults; a fault may vanish only while we clear."""
         if telemetry.was_reset:
-            self.doubt("reset", RESET)
+            self.add_doubt("reset", RESET)
         if telemetry.reference_doubt:
-            self.doubt("count", telemetry.reference_doubt)
+            self.add_doubt("count", telemetry.reference_doubt)
         if clearing or telemetry.faults == self._faults:
             return
         for name in self._faults:
             if name not in telemetry.faults:
-                self.doubt(f"{_FAULT_PREFIX}{name}", _vanished_fault_text(name, self.remedy))
+                self.add_doubt(f"{_FAULT_PREFIX}{name}", _vanished_fault_text(name, self.remedy))
         self._faults = telemetry.faults
         self._save()
 
-    def forgive(self, shown: Collection[str], before: Telemetry) -> None:
+    def acknowledge(self, shown: Collection[str], before: Telemetry) -> None:
         """Forget what a person was shown; keep faults that the unit has cleared although nobody had seen them.
 
         Parameters
@@ -170,13 +170,15 @@ class Doubts:
         self.see(before, clearing=True)
         for name in before.faults:
             if fault_text(name) not in shown:
-                self.doubt(f"{_FAULT_PREFIX}{name}", f"{name} was cleared before anybody had seen it: {self.remedy}")
+                self.add_doubt(
+                    f"{_FAULT_PREFIX}{name}", f"{name} was cleared before anybody had seen it: {self.remedy}"
+                )
         for texts in (self._doubts, self._incidents):
             for kind in [kind for kind, text in texts.items() if text in shown]:
                 del texts[kind]
-        self.cleared()
+        self.note_faults_cleared()
 
-    def cleared(self) -> None:
+    def note_faults_cleared(self) -> None:
         """Expect no faults: the unit has cleared them because we asked it to."""
         self._faults = ()
         self._save()
@@ -192,9 +194,9 @@ class Doubts:
         if doubt is None:
             self._save()
         else:
-            self.doubt("homing", doubt)
+            self.add_doubt("homing", doubt)
 
-    def referenced(self) -> None:
+    def clear_doubts(self) -> None:
         """End all doubts: both axes have made a good reference run."""
         self._homing = False
         self._doubts.clear()
@@ -208,12 +210,12 @@ class Doubts:
     def _sum_up(self) -> None:
         # These are read at every look at the positioner, some 200,000 times a day, and seldom change.
         self.reference = _join_without_repeats(self._doubts.values()) or None
-        self.lost = (
+        self.reference_alarm_text = (
             _join_without_repeats(text for kind, text in self._doubts.items() if not kind.startswith(_FAULT_PREFIX))
             or None
         )
         self.incident = "; ".join(self._incidents.values()) or None
-        self.changes += 1
+        self.change_count += 1
 
     def _save(self) -> None:
         self._sum_up()

@@ -30,7 +30,7 @@ class Retries:
         self._stow_failed_s = self._other_failed_s = -math.inf
         self.text: str | None = None
 
-    def failed(self, now_s: float, text: str, *, stow: bool) -> bool:
+    def note_failure(self, now_s: float, text: str, *, stow: bool) -> bool:
         """Take note of a failure; return whether it is worth a warning: the first, second, fourth, eighth ... are."""
         if stow:
             self._stows += 1
@@ -42,7 +42,7 @@ class Retries:
         count = self._stows + self._others
         return count & (count - 1) == 0
 
-    def lost(self, text: str, *, stow: bool) -> None:
+    def note_link_loss(self, text: str, *, stow: bool) -> None:
         """Take note of a move that ended because the link was lost; the third in a row is told. No pause follows."""
         self._losses += 1
         if self._losses >= _LOSSES_TOLD_FROM:

@@ -40,7 +40,7 @@ class _HomingFailedError(Exception):
     """A reference run that leaves the reference in doubt."""
 
 
-class Runs:
+class Mover:
     """Carries out moves and reference runs, one at a time.
 
     Parameters
@@ -152,8 +152,8 @@ class Runs:
             level = logging.DEBUG
             if outcome is MoveOutcome.LINK_LOST:
                 # The outage has its own line in the log.
-                self._retries.lost(text, stow=self._stow)
-            elif self._retries.failed(self._clock.monotonic(), text, stow=self._stow):
+                self._retries.note_link_loss(text, stow=self._stow)
+            elif self._retries.note_failure(self._clock.monotonic(), text, stow=self._stow):
                 level = logging.WARNING
             log.log(level, "move failed: %s", why, extra={"fields": {"outcome": outcome}})
 
@@ -169,7 +169,7 @@ class Runs:
                 if guard.doubts.reference is not None:
                     # The count may have begun anew: seen from the old start, the axes would be beyond their targets.
                     start = guard.pose or start
-            if guard.stray is not None:
+            if guard.anomaly is not None:
                 return await self._quell()
             if not guard.watch.settled:
                 # The rest of the last move may begin at any moment, and a target that reaches a turning axis is lost.
@@ -179,7 +179,7 @@ class Runs:
             if not self._stow and self._sleeps.take_s() > _SLEPT_S:
                 # The machine has slept: if the move is still wanted, control decides it anew by what is true now.
                 break
-            guard.departs(target)
+            guard.note_departure(target)
             # The machine may sleep between the targets of the two axes.
             sleeps = SleepGauge(self._clock)
             try:
@@ -188,7 +188,7 @@ class Runs:
                 outcome, why = await self._watch_move(target, start, sleeps)
             except RefusedError as error:
                 # One axis may have taken the target, or both another one.
-                guard.watch.pardon()
+                guard.watch.suspend_judging()
                 await guard.halt()
                 outcome, why = MoveOutcome.REFUSED, error.message
                 await self._clear_restart_mark()
@@ -208,20 +208,23 @@ class Runs:
     async def _pause(self) -> None:
         """Let time pass between two attempts and watch meanwhile: an axis may begin to move by itself."""
         until_s = self._clock.monotonic() + _BETWEEN_ATTEMPTS_S
-        while self._clock.monotonic() < until_s and self._guard.stray is None and not self.is_interrupted():
+        while self._clock.monotonic() < until_s and self._guard.anomaly is None and not self.is_interrupted():
             await wait_at_most(self._wake, min(self._poll_every_s, _BETWEEN_ATTEMPTS_S))
             await self._guard.poll(moving=True)
 
     async def _quell(self) -> tuple[MoveOutcome, str]:
         """Stop stray motion and return how it ends the move."""
-        stray = self._guard.stray
-        assert stray is not None  # noqa: S101 - narrowing for the type checker
-        return MoveOutcome.INTERRUPTED if await self._guard.quell() else MoveOutcome.OVERSHOT, stray.text
+        anomaly = self._guard.anomaly
+        assert anomaly is not None  # noqa: S101 - narrowing for the type checker
+        return (
+            MoveOutcome.INTERRUPTED if await self._guard.stop_unexplained_motion() else MoveOutcome.OVERSHOT,
+            anomaly.text,
+        )
 
     def _is_hopeless(self) -> bool:
         telemetry = self._guard.telemetry
         faulty = telemetry is not None and bool(telemetry.faults or telemetry.autonomous)
-        return faulty or bool(self._guard.unexplained or self._doubt_why())
+        return faulty or bool(self._guard.unexplained_motion or self._doubt_why())
 
     def _doubt_why(self) -> str | None:
         """Return why the move must not go on: a reference lost on the way ends all moves but a stow."""
@@ -239,24 +242,24 @@ class Runs:
             if self._interrupted or telemetry.button_pressed:
                 await guard.halt()
                 return MoveOutcome.INTERRUPTED, target.why
-            if guard.stray is not None:
+            if guard.anomaly is not None:
                 return await self._quell()
             if (doubt := self._doubt_why()) is not None:
                 await guard.halt()
                 return MoveOutcome.STALLED, doubt
             progress, why = watch.judge(telemetry, self._clock.monotonic())
             if progress is Progress.ARRIVED:
-                guard.watch.arrived(telemetry)
+                guard.watch.note_arrival(telemetry)
                 return MoveOutcome.ARRIVED, target.why
             if progress is not Progress.GOING:
                 await guard.halt()
                 return MoveOutcome(progress.value), why
             await wait_at_most(self._wake, self._poll_every_s)
 
-    async def free(self) -> None:
+    async def disable_autonomous_modes(self) -> None:
         """Switch off the modes in which the positioner moves by itself, then halt it: the first stops no motor."""
         try:
-            await self._guard.attended(self._positioner.disable_autonomy())
+            await self._guard.run_guarded(self._positioner.disable_autonomy())
         except RefusedError as error:
             log.debug("own tracking: %s", error.message)
         await self._guard.halt()
@@ -272,8 +275,8 @@ class Runs:
         clear = partial(self._positioner.clear_faults, forgive=not doubt or doubt in shown)
         guard.clearing = True
         try:
-            before = await guard.attended(clear(), gives_way)
-            guard.doubts.forgive(shown, before)
+            before = await guard.run_guarded(clear(), gives_way)
+            guard.doubts.acknowledge(shown, before)
         except RefusedError as error:
             self._report(f"nothing was cleared: {'a stow came first' if gives_way() else error.message}")
             return
@@ -298,7 +301,7 @@ class Runs:
         if anew:
             self._sleeps = SleepGauge(self._clock)
         guard.homing = True
-        guard.departs(None)
+        guard.note_departure(None)
         doubts.homing_begins()
         left: str | None = NOT_FINISHED
         self._report("homing")
@@ -330,8 +333,8 @@ class Runs:
         guard.clearing = True
         try:
             clear = partial(self._positioner.clear_faults, forgive=False)
-            await guard.attended(self._unless_interrupted(clear), self.is_interrupted)
-            guard.doubts.cleared()
+            await guard.run_guarded(self._unless_interrupted(clear), self.is_interrupted)
+            guard.doubts.note_faults_cleared()
         finally:
             guard.clearing = False
 
@@ -344,7 +347,7 @@ class Runs:
         telemetry = await guard.poll(moving=False)
         if telemetry.reference_doubt:
             raise _HomingFailedError(telemetry.reference_doubt)
-        guard.doubts.referenced()
+        guard.doubts.clear_doubts()
         self._retries.forget()
         self._report("homing finished")
 
@@ -353,15 +356,15 @@ class Runs:
         before = await guard.poll(moving=True)
         guard.watch.expect_homing(axis, before)
         home = partial(self._positioner.home, axis)
-        await guard.attended(self._unless_interrupted(home), self.is_interrupted)
+        await guard.run_guarded(self._unless_interrupted(home), self.is_interrupted)
         begun_s = self._clock.monotonic()
         while True:
             telemetry = await guard.poll(moving=True)
             self._interrupted = self._interrupted or telemetry.button_pressed
             self._refuse_to_go_on()
-            if guard.stray is not None:
-                text = guard.stray.text
-                await guard.quell()
+            if guard.anomaly is not None:
+                text = guard.anomaly.text
+                await guard.stop_unexplained_motion()
                 raise _HomingFailedError(text)
             if not telemetry.homing:
                 break
@@ -388,8 +391,8 @@ class Runs:
         """Raise `RefusedError` after a stop, and after motion that nobody ordered."""
         if self.is_interrupted():
             raise RefusedError("positioner", "a stop came in between")
-        if self._guard.unexplained is not None:
-            raise RefusedError("positioner", self._guard.unexplained)
+        if self._guard.unexplained_motion is not None:
+            raise RefusedError("positioner", self._guard.unexplained_motion)
 
     def _report(self, text: str) -> None:
         log.info(text)

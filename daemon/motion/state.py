@@ -3,11 +3,11 @@
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Move, Pose, Target
-from daemon.motion.alarms import OWN_MODE
+from daemon.motion.alarms import AUTONOMOUS_MODE_TEXT
 from daemon.motion.guard import Guard
 from daemon.motion.reference import fault_text
 from daemon.motion.retry import Retries
-from daemon.motion.runs import Runs
+from daemon.motion.runs import Mover
 from drivers.errors import RefusedError
 from drivers.interfaces import PositionerIdentity, Telemetry
 
@@ -21,7 +21,7 @@ class MotionState:
         What it is read from.
     """
 
-    def __init__(self, guard: Guard, runs: Runs, retries: Retries, outage: Outage, clock: Clock) -> None:
+    def __init__(self, guard: Guard, runs: Mover, retries: Retries, outage: Outage, clock: Clock) -> None:
         self._guard = guard
         self._runs = runs
         self._retries = retries
@@ -74,24 +74,24 @@ class MotionState:
         return self._guard.homing
 
     @property
-    def unexplained(self) -> str | None:
+    def unexplained_motion(self) -> str | None:
         """Why nothing moves, not even to stow, after motion without an order or against a stop, or None."""
-        return self._guard.unexplained
+        return self._guard.unexplained_motion
 
     @property
     def blocked(self) -> str | None:
         """Why nothing at all can be moved, or None; also None before the first contact."""
-        telemetry = self._guard.judged
+        telemetry = self._guard.telemetry_as_read
         if telemetry is None:
             return self.outage.reason if self.outage.is_down else None
-        if self.unexplained:
-            return self.unexplained
+        if self.unexplained_motion:
+            return self.unexplained_motion
         if self.identity is not None and self.identity.setup_conflicts:
             return "; ".join(self.identity.setup_conflicts)
         if telemetry.faults:
             return f"the positioner reports {', '.join(telemetry.faults)}"
         if telemetry.autonomous:
-            return OWN_MODE
+            return AUTONOMOUS_MODE_TEXT
         return None
 
     @property
@@ -106,7 +106,7 @@ class MotionState:
     @property
     def concerns(self) -> tuple[str, ...]:
         """Every fault and doubt that is shown at present; `clear_faults` forgives those that a person was shown."""
-        telemetry = self._guard.judged
+        telemetry = self._guard.telemetry_as_read
         faults = telemetry.faults if telemetry else ()
         failed = (self._retries.text,) if self._retries.text else ()
         conflicts = self.identity.setup_conflicts if self.identity else ()
@@ -115,7 +115,7 @@ class MotionState:
     @property
     def connected(self) -> bool:
         """Whether telemetry is coming in."""
-        return self._guard.judged is not None
+        return self._guard.telemetry_as_read is not None
 
     @property
     def moving(self) -> bool:
@@ -125,12 +125,12 @@ class MotionState:
     @property
     def was_at_rest(self) -> bool:
         """Whether the tracker stood, with nothing ordered, when it was seen last."""
-        return self._guard.rested is not None
+        return self._guard.rest_pose is not None
 
     @property
-    def pressed(self) -> bool:
+    def is_button_pressed(self) -> bool:
         """Whether a button is pressed at the unit, by its latest status: somebody is there."""
-        telemetry = self._guard.judged
+        telemetry = self._guard.telemetry_as_read
         return telemetry is not None and telemetry.button_pressed
 
     @property
@@ -139,10 +139,10 @@ class MotionState:
         return self._guard.stands_since_s
 
     def _readiness(self) -> tuple[bool, bool]:
-        return self.connected and self.blocked is None and self.doubt is None, self.pressed
+        return self.connected and self.blocked is None and self.doubt is None, self.is_button_pressed
 
     def _refuse_frozen(self) -> None:
         if self._guard.frozen is not None:
             raise RefusedError("positioner", self._guard.frozen)
-        if self.pressed:
+        if self.is_button_pressed:
             raise RefusedError("positioner", "a button is pressed at the unit: somebody is there")

@@ -21,7 +21,7 @@ _JUMP_DEG_PER_S = 10.0
 _SHORTEST_LOOK_S = 0.5
 _AXES: tuple[AxisName, AxisName] = ("a", "b")
 _TURN_DEG = 360.0
-CLEAR = "nothing moves until a person has looked and given 'heliocube clear'"
+BLOCKED_UNTIL_CLEARED = "nothing moves until a person has looked and given 'heliocube clear'"
 """The end of every sentence about an axis that moved by itself, or does not stop."""
 
 
@@ -30,13 +30,13 @@ def jitter(expected: PositionerSettings) -> float:
     return max(_JITTER[expected.position_unit], _JITTER_STEPS * expected.resolution())
 
 
-def elsewhere(expected: PositionerSettings) -> float:
+def displacement_threshold(expected: PositionerSettings) -> float:
     """Return from what distance to a place, in its unit, a position counts as elsewhere."""
     return max(_STRAY_DISTANCE[expected.position_unit], _STRAY_STEPS * expected.resolution())
 
 
 @dataclass(frozen=True, slots=True)
-class Stray:
+class MotionAnomaly:
     """Something in telemetry that no order explains.
 
     Attributes
@@ -45,21 +45,21 @@ class Stray:
         What was seen, as the beginning of a sentence.
     seen_s
         Monotonic time of the telemetry that showed it.
-    jump
+    is_count_jump
         The count changed faster than an axis can turn: the reference is in doubt, but nothing has moved.
     """
 
     text: str
     seen_s: float
-    jump: bool = False
+    is_count_jump: bool = False
 
-    def incident(self, frozen: str | None) -> str:
+    def incident_text(self, frozen: str | None) -> str:
         """Return it as a sentence for a person who has to look; `frozen` is why nothing may move, or None."""
         how = f"against a stop ({frozen})" if frozen else "without an order"
-        return f"{self.text} {how}: {CLEAR}"
+        return f"{self.text} {how}: {BLOCKED_UNTIL_CLEARED}"
 
 
-class Watch:
+class AxisWatch:
     """Both axes, look by look.
 
     Parameters
@@ -70,7 +70,7 @@ class Watch:
 
     def __init__(self, expected: PositionerSettings) -> None:
         self._jitter = jitter(expected)
-        self._stray_distance = elsewhere(expected)
+        self._displacement_threshold = displacement_threshold(expected)
         self._axes_are_angles = expected.axes_are_angles
         self._names = expected.axis_names
         # A drive with a reference run tells by itself that it may have lost its count.
@@ -81,7 +81,7 @@ class Watch:
         self.forget()
 
     def forget(self) -> None:
-        """Know nothing, as after the loss of the link, until `rest` says that a look shows the place of rest."""
+        """Know nothing, as after the loss of the link, until `note_rest` says that a look shows the place of rest."""
         if self._keeps_way and self._aim is not None and self._last is not None:
             self._lost_way = _positions(self._last), self._aim
         self._last = None
@@ -95,7 +95,7 @@ class Watch:
         self._settled_s = -math.inf
         self._homing: frozenset[AxisName] = frozenset()
 
-    def off_its_way(self, telemetry: Telemetry, tolerance_deg: float) -> str:
+    def off_course_text(self, telemetry: Telemetry, tolerance_deg: float) -> str:
         """Return in words that the move on which the link was lost does not lead to this place; empty where it does.
 
         Told once, and only for a drive without a reference run: after the loss a rotator may count from another turn.
@@ -103,7 +103,7 @@ class Watch:
         lost, self._lost_way = self._lost_way, None
         if lost is None:
             return ""
-        within = tolerance_deg + self._stray_distance
+        within = tolerance_deg + self._displacement_threshold
         on_it = (
             (here - min(ends) + within) % _TURN_DEG <= abs(ends[1] - ends[0]) + 2.0 * within
             for here, ends in zip(_positions(telemetry), zip(*lost, strict=True), strict=True)
@@ -120,11 +120,11 @@ class Watch:
         """Monotonic time since which both axes have been seen unmoved, or None."""
         return self._since_s if self._standstill_shown else None
 
-    def pardon(self) -> None:
+    def suspend_judging(self) -> None:
         """Judge nothing until the next rest: an order may have been taken in part."""
         self._rest_look = None
 
-    def rest(self, telemetry: Telemetry) -> None:
+    def note_rest(self, telemetry: Telemetry) -> None:
         """Take this look for the place of rest: from now on nothing explains any motion."""
         self._rest_look = self._last = telemetry
         self._aim, self._settled_s, self._homing = None, -math.inf, frozenset()
@@ -132,7 +132,7 @@ class Watch:
         if not (self._standstill_shown and anchor is not None and _near(here, anchor, self._jitter)):
             self._anchor, self._since_s, self._standstill_shown = here, telemetry.time_monotonic_s, True
 
-    def repeated(self, telemetry: Telemetry) -> None:
+    def note_repeat(self, telemetry: Telemetry) -> None:
         """Take this for the last look: it shows the same at a later time."""
         self._last = telemetry
 
@@ -151,7 +151,7 @@ class Watch:
         self._gaps = [abs(start - there) for start, there in zip(_positions(self._rest_look), aim, strict=True)]
         self._settled_s = math.inf
 
-    def arrived(self, telemetry: Telemetry) -> None:
+    def note_arrival(self, telemetry: Telemetry) -> None:
         """End the move; for a few seconds the axes may still go the rest of the way to their destinations."""
         self._rest_look = telemetry
         self._settled_s = telemetry.time_monotonic_s + _SETTLES_S
@@ -162,16 +162,16 @@ class Watch:
         return self._standstill_shown and self._aim is None and not self._homing
 
     @property
-    def on_its_way(self) -> bool:
+    def is_motion_expected(self) -> bool:
         """Whether an order explains motion at present."""
         return bool(self._homing) or self._settled_s == math.inf
 
     def expect_homing(self, axis: AxisName, telemetry: Telemetry) -> None:
         """Let one axis make a reference run while the other stands."""
-        self.rest(telemetry)
+        self.note_rest(telemetry)
         self._homing, self._standstill_shown = frozenset((axis,)), False
 
-    def update(self, telemetry: Telemetry, known_s: float | None = None) -> Stray | None:
+    def update(self, telemetry: Telemetry, known_s: float | None = None) -> MotionAnomaly | None:
         """Take in the newest telemetry; return what it shows that no order explains.
 
         `known_s` is when the telemetry had arrived [s], None for its own time: it may show a position as late as that.
@@ -184,9 +184,9 @@ class Watch:
         if not self._homing and (leap := _jump_text(before, telemetry, took_s, by_angles=self._axes_are_angles)):
             self._gaps = [math.inf, math.inf]
             self._rest_look = telemetry
-            return Stray(leap, telemetry.time_monotonic_s, jump=True)
+            return MotionAnomaly(leap, telemetry.time_monotonic_s, is_count_jump=True)
         text = self._wrong_way_text(telemetry) if self._settled_s == math.inf else self._departure_text(telemetry)
-        return None if text is None else Stray(text, telemetry.time_monotonic_s)
+        return None if text is None else MotionAnomaly(text, telemetry.time_monotonic_s)
 
     def _note_standstill(self, telemetry: Telemetry) -> None:
         here, now_s = _positions(telemetry), telemetry.time_monotonic_s
@@ -207,7 +207,7 @@ class Watch:
             if not (abs(to - aim) <= 1.0 or abs(to - here) <= 1.0):
                 return f"{name} heads for position {to:g}, but was sent to {aim:g}"
             gap = abs(here - aim)
-            if gap > self._gaps[at] + self._stray_distance and (start - aim) * (here - aim) >= 0.0:
+            if gap > self._gaps[at] + self._displacement_threshold and (start - aim) * (here - aim) >= 0.0:
                 return f"{name} moves away from where it was sent, {self._motion_text(at, self._rest_look, telemetry)}"
             self._gaps[at] = min(self._gaps[at], gap)
         return None
@@ -224,7 +224,7 @@ class Watch:
             return None
         ways = zip(_AXES, now, before, self._aim or before, strict=True)
         for at, (axis, here, start, aim) in enumerate(ways):
-            low, high = min(start, aim) - self._stray_distance, max(start, aim) + self._stray_distance
+            low, high = min(start, aim) - self._displacement_threshold, max(start, aim) + self._displacement_threshold
             if axis not in self._homing and not (low <= here <= high):
                 return self._motion_text(at, rest, telemetry)
         return None

@@ -18,15 +18,15 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Backoff
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.base.timeloop import wait_at_most
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.rig import Role
-from daemon.store.batches import MOST_NUMBER, MOST_ROWS, Batch, encoded, identified, is_sound, next_batch
+from daemon.store.batches import MOST_NUMBER, MOST_ROWS, Batch, encoded, is_sound, next_batch, with_identifier
 from daemon.store.runs import StoredRun, runs_of
-from daemon.store.schema import FILE_NAME, open_for_reading, unreadable
+from daemon.store.schema import FILE_NAME, open_for_reading, unreadable_store_error
 
 log = logging.getLogger("heliocube.mqtt.archive")
 
@@ -41,7 +41,7 @@ _SAVE_EVERY_S = 60.0
 _RUNS_NEVER_FINISHED = 8
 
 
-class Archived(BaseModel):
+class ArchiveProgress(BaseModel):
     """How far the archive has each run: by the run's identifier, the last number that the archive has confirmed."""
 
     model_config = ConfigDict(extra="forbid")
@@ -103,7 +103,7 @@ class ArchiveFeed:
         self._backoff = Backoff(random, _FIRST_ANSWER_S, 2.0, _LONGEST_ANSWER_S)
         name = CUBE_STATE_NAME if self._of_cube else STATE_NAME
         folder = StateFolder(directory, behind=True)
-        self._file = StateFile(folder, name, Archived, log, "how far the archive has the records")
+        self._file = StateFile(folder, name, ArchiveProgress, log, "how far the archive has the records")
         self._confirmed_through: dict[str, int] = {}
         self._finished: set[str] = set()
         self._sent_batch: Batch | None = None
@@ -118,14 +118,14 @@ class ArchiveFeed:
         self._alarm: Callable[[str, str | None], None] = lambda _name, _text: None
         link.listen(topics.records_kept, self._take_answer)
 
-    def alarm_by(self, alarm: Callable[[str, str | None], None]) -> None:
+    def set_alarm_callback(self, alarm: Callable[[str, str | None], None]) -> None:
         """Call `alarm` from now on with the name of an alarm and its text, None at its end."""
         self._alarm = alarm
 
     async def run(self) -> None:
         """Send until cancelled."""
         try:
-            self._confirmed_through = (self._file.load() or Archived()).through
+            self._confirmed_through = (self._file.load() or ArchiveProgress()).through
         except UnreadableStateError as error:
             log.warning("%s: the archive gets all records of the store again, and keeps each once", error)
         try:
@@ -135,7 +135,7 @@ class ArchiveFeed:
                 except Exception as error:  # noqa: BLE001 - nothing in a damaged store may end the service; it is shown
                     # A store that cannot be read for a moment needs no sentence here: the store itself reports it.
                     self._report_unconfirmed(
-                        str(unreadable(self._path, error) if isinstance(error, sqlite3.Error) else error)
+                        str(unreadable_store_error(self._path, error) if isinstance(error, sqlite3.Error) else error)
                     )
                     await asyncio.sleep(self._every_s)
                     continue
@@ -154,7 +154,7 @@ class ArchiveFeed:
         The message is no longer than the broker takes, except for a single record. Raises if the store cannot be read.
         """
         runs = [each for each in runs_of(self._path) if (each.origin.role == Role.CUBE.value) is self._of_cube]
-        self._unsound = [run for run, origin in runs if not is_sound(identified(run, origin))]
+        self._unsound = [run for run, origin in runs if not is_sound(with_identifier(run, origin))]
         runs = [each for each in runs if each.run not in self._unsound]
         with closing(open_for_reading(self._path)) as connection:
             ordered, most = sorted(runs, key=lambda each: each.run), MOST_ROWS
@@ -169,7 +169,7 @@ class ArchiveFeed:
         return batch.count == 1 or len(payload) <= self._link.most_bytes
 
     def _page_of(self, connection: sqlite3.Connection, runs: list[StoredRun], most: int) -> Batch | None:
-        origins = {run: identified(run, stored) for run, stored in runs}
+        origins = {run: with_identifier(run, stored) for run, stored in runs}
         self._confirmed_through = {origin.id: self._confirmed_through.get(origin.id, -1) for origin in origins.values()}
         for place, (run, origin) in enumerate(origins.items()):
             if origin.id in self._finished:
@@ -199,14 +199,14 @@ class ArchiveFeed:
     def _note_confirmed(self, batch: Batch) -> None:
         self._confirmed_through[batch.origin.id] = batch.through
         self._confirmed_s = now_s = self._clock.monotonic()
-        self._link.trouble("archive", None)
+        self._link.set_trouble("archive", None)
         self._alarm("archive-behind", None)
         if batch.damaged:
             self._damaged += batch.damaged
-            are = counted(
+            are = pluralise(
                 self._damaged, f"record of the store {self._path} is", f"records of the store {self._path} are"
             )
-            self._link.trouble("archive damage", f"{are} damaged: they stay there, and no archive gets them")
+            self._link.set_trouble("archive damage", f"{are} damaged: they stay there, and no archive gets them")
         if now_s - self._saved_s >= _SAVE_EVERY_S:
             self._save()
 
@@ -214,7 +214,7 @@ class ArchiveFeed:
         if self._unsound:
             runs = ", ".join(map(str, self._unsound))
             what = f"the entry of run {runs} in the store {self._path} is damaged"
-            self._link.trouble("archive runs", f"{what}: the run's records stay there, and no archive gets them")
+            self._link.set_trouble("archive runs", f"{what}: the run's records stay there, and no archive gets them")
 
     def _report_unconfirmed(self, why: str = "") -> None:
         """Report that nothing is confirmed, once that has lasted, with the reason unless no archive is there at all."""
@@ -224,7 +224,7 @@ class ArchiveFeed:
             what = f"no archive has confirmed records of {self._topic} for {waited_s / 3600.0:.0f} h{because}"
             self._alarm("archive-behind", f"{what}: they wait in the store, which keeps {self._keep_days} days")
         if waited_s >= _TROUBLE_AFTER_S and (why or self._link.connected):
-            self._link.trouble(
+            self._link.set_trouble(
                 "archive",
                 f"no archive confirms the records of {self._topic}{because}: they wait in the store, which keeps"
                 f" {self._keep_days} days; see 'heliocube archive' on the archive's machine",
@@ -236,7 +236,7 @@ class ArchiveFeed:
         if answer.aside > 0:
             self._aside_count += answer.aside
             self._last_aside_s = now_s
-            what = f"the archive's database does not take {counted(self._aside_count, 'record')} of {self._topic}"
+            what = f"the archive's database does not take {pluralise(self._aside_count, 'record')} of {self._topic}"
             self._alarm("archive-set-aside", f"{what}: {answer.why}")
         elif now_s - self._last_aside_s >= _ALARM_AFTER_S * self._speed:
             self._aside_count, self._last_aside_s = 0, math.inf
@@ -244,7 +244,7 @@ class ArchiveFeed:
 
     def _save(self) -> None:
         self._saved_s = self._clock.monotonic()
-        self._file.save(Archived(through=self._confirmed_through))
+        self._file.save(ArchiveProgress(through=self._confirmed_through))
 
     def _take_answer(self, message: Incoming) -> None:
         if message.retained:
@@ -252,14 +252,14 @@ class ArchiveFeed:
         try:
             answer = _read(json.loads(message.payload))
         except (ValueError, RecursionError):
-            self._link.trouble("archive answer", f"the message on {message.topic} is not an answer of an archive")
+            self._link.set_trouble("archive answer", f"the message on {message.topic} is not an answer of an archive")
             return
-        self._link.trouble("archive answer", None)
+        self._link.set_trouble("archive answer", None)
         if self._sent_batch is None or answer.run != self._sent_batch.origin.id:
             return
         if answer.refused:
             self._refusal_why = answer.refused
-            self._link.trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
+            self._link.set_trouble("archive", f"the archive refuses records of {self._topic}: {answer.refused}")
         elif answer.through == self._sent_batch.through:
             # An answer with another last number is for a page that was confirmed before, or never sent.
             self._note_aside(answer)

@@ -10,7 +10,7 @@ from daemon.base.clock import Clock
 from daemon.base.recurrence import LogBudget, RateLimit
 from daemon.config.links import MqttSettings
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.dates import Dates
+from daemon.mqtt.dates import ReplayGuard
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import URGENT, Command, Operators, parse, refusal_json
 
@@ -53,7 +53,7 @@ class Commands:
         self._reply = reply
         self._clock = clock
         self._speed = speed
-        self._dates = Dates(settings, clock)
+        self._dates = ReplayGuard(settings, clock)
         self._budget = LogBudget("commands over MQTT are refused")
         # A limit for each kind, so that a person who stops the tracker in a flood of wishes reads that it stands.
         self._reply_limits = {kind: RateLimit(_REPLIES_PER_S / speed, _REPLIES_AT_ONCE) for kind in _AT_ONCE}
@@ -71,18 +71,18 @@ class Commands:
             command = parse(name, message.payload, "MQTT")
             # Before the date is checked: a command that is refused for want of room is not remembered, and may be given
             # again.
-            room = self._has_room_for(command.wanted)
+            room = self._has_room_for(command.action)
             _refuse_overdue(message, command)
             self._dates.check(command)
         except CommandError as error:
             self._refuse(name, None if command is None else command.identifier, error)
             return
         work = self._carry_out(command) if room else self._stop_unless_stopped(command)
-        task = asyncio.create_task(work, name=f"mqtt command {command.wanted}")
+        task = asyncio.create_task(work, name=f"mqtt command {command.action}")
         self._running.add(task)
         task.add_done_callback(self._running.discard)
         if room:
-            kind = _kind(command.wanted)
+            kind = _kind(command.action)
             self._waiting[kind] += 1
             task.add_done_callback(lambda _: self._waiting.subtract((kind,)))
 
@@ -91,7 +91,7 @@ class Commands:
         try:
             while True:
                 await asyncio.sleep(_SETTLE_EVERY_S * self._speed)
-                self._log(self._budget.settle(self._clock.monotonic()))
+                self._log(self._budget.poll_flood_summary(self._clock.monotonic()))
         finally:
             running = tuple(self._running)
             for task in running:
@@ -112,7 +112,7 @@ class Commands:
         This is looked at when its turn comes, so that an `auto` before it has ended the stop that was in force.
         """
         try:
-            answer = self._operators.stopped_already(command)
+            answer = self._operators.answer_if_stopped(command)
         except CommandError as error:
             self._refuse(command.name, command.identifier, error)
             return
@@ -127,7 +127,7 @@ class Commands:
         except CommandError as error:
             self._refuse(command.name, command.identifier, error)
         else:
-            self._answer(answer, _kind(command.wanted))
+            self._answer(answer, _kind(command.action))
 
     def _refuse(self, name: str, identifier: str | None, error: CommandError) -> None:
         # With several trackers the sentence has a line for each, and the log gets one line.
@@ -157,7 +157,7 @@ def _refuse_retained(message: Incoming) -> None:
 
 def _refuse_overdue(message: Incoming, command: Command) -> None:
     """Refuse a command that was given while the service stood still: its sender saw the service offline."""
-    if message.overdue and command.time_utc_s is None and command.wanted != "stop":
+    if message.overdue and command.time_utc_s is None and command.action != "stop":
         raise CommandError(
             "it was read only after the broker had given the connection up, so its age is not known: give it again"
         )

@@ -9,8 +9,8 @@ from random import Random
 from typing import Any
 
 from daemon.base.clock import Clock, iso_utc
-from daemon.base.process import TRACKER
-from daemon.base.records import Record, stamped
+from daemon.base.process import CURRENT_TRACKER
+from daemon.base.records import Record, tag_with_tracker
 from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.settings import Settings
 from daemon.mqtt.archive_feed import ArchiveFeed
@@ -19,10 +19,10 @@ from daemon.mqtt.connection import Incoming
 from daemon.mqtt.discovery import discovery
 from daemon.mqtt.link import Handler, Link
 from daemon.mqtt.outbox import Message
-from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.mqtt.safety_inputs import SafeInputStow, WindReadings
 from daemon.mqtt.telemetry import TelemetryPublisher, encoded
-from daemon.mqtt.topics import Topics, unusable
-from daemon.service.operator_commands import NAMES, OF_ALL, Operators
+from daemon.mqtt.topics import Topics, find_topic_errors
+from daemon.service.operator_commands import COMMAND_NAMES, COMMANDS_FOR_ALL, Operators
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot
@@ -61,12 +61,12 @@ class Mqtt:
         self._clock = clock
         self._speed = speed
         mqtt = settings.mqtt
-        name = role.known_as(mqtt.name)
+        name = role.name_or_default(mqtt.name)
         self._tracker_name = "" if role is Role.CUBE else name
         self._topics = Topics(mqtt.prefix, name)
-        publish = stamped(publish, self._tracker_name)
+        publish = tag_with_tracker(publish, self._tracker_name)
         self._log_name = ""
-        self._unusable = unusable(settings)
+        self._unusable = find_topic_errors(settings)
         self._inputs: list[Callable[[float], InputStatus]] = []
         self.link = Link(mqtt, self._topics, clock, random, publish, speed)
         self._feed: ArchiveFeed | None = None
@@ -102,13 +102,15 @@ class Mqtt:
         if self._role is Role.CUBE:
             return found
         if mqtt.wind.topic is not None:
-            wind = WindReadings(mqtt.wind, safety.stow_wind_m_s, self._clock.monotonic, self._wake, self.link.trouble)
+            wind = WindReadings(
+                mqtt.wind, safety.stow_wind_m_s, self._clock.monotonic, self._wake, self.link.set_trouble
+            )
             self._listen("mqtt.wind", mqtt.wind.topic, wind.take)
             wind_stow = WindStow(safety, wind.strongest_since_last_read, f"the wind on {mqtt.wind.topic}")
             self._inputs.append(partial(_input_status, "wind", mqtt.wind.topic, wind, wind_stow))
             found.append(wind_stow)
         if mqtt.safe.topic is not None:
-            safe = SafeStow(mqtt.safe, self._clock.monotonic, self._wake, self.link.trouble)
+            safe = SafeInputStow(mqtt.safe, self._clock.monotonic, self._wake, self.link.set_trouble)
             self._listen("mqtt.safe", mqtt.safe.topic, safe.take)
             self._inputs.append(partial(_input_status, "safe", mqtt.safe.topic, safe, safe))
             found.append(safe)
@@ -130,12 +132,12 @@ class Mqtt:
         )
         service.bus.subscribe(self._telemetry.note, self._tracker_name)
         if self._feed is not None:
-            self._feed.alarm_by(service.cube_alarms.set)
+            self._feed.set_alarm_callback(service.cube_alarms.set)
         if own and own[0] is service.trackers[0]:
             # One link hears the scans for all trackers.
             self._receive_scans(service.receiver)
         # A cube alone moves nothing, but its alarms can be acknowledged.
-        names = NAMES if own else ("acknowledge",) if self._role is Role.CUBE else ()
+        names = COMMAND_NAMES if own else ("acknowledge",) if self._role is Role.CUBE else ()
         if mqtt.commands and names:
             beside = [tracker for tracker in service.trackers if tracker.name != self._tracker_name]
             operators = Operators(own, self._speed, service.cube_alarms, beside)
@@ -145,7 +147,7 @@ class Mqtt:
             heard = [(self._topics.command(name), name) for name in names]
             if len(service.trackers) > 1:
                 # Each link listens for its own tracker, so that none waits for another's connection.
-                heard += [(self._topics.command_of_all(name), name) for name in OF_ALL]
+                heard += [(self._topics.command_of_all(name), name) for name in COMMANDS_FOR_ALL]
             for topic, name in heard:
                 self.link.listen(topic, partial(self._commands.take, name), as_published=True)
         if "mqtt.discovery_prefix" not in self._unusable:
@@ -167,7 +169,7 @@ class Mqtt:
 
     async def run(self) -> None:
         """Work until cancelled; each line in the log from this task names the tracker."""
-        TRACKER.set(self._log_name)
+        CURRENT_TRACKER.set(self._log_name)
         self._report_unusable()
         async with asyncio.TaskGroup() as group:
             group.create_task(self.link.run(), name="mqtt link")
@@ -203,9 +205,9 @@ class Mqtt:
             if key in self._unusable:
                 sentence = f"{key}: {self._unusable[key]}; so {cost}: correct it and start again"
                 if cost == _NO_LINK:
-                    self.link.renounce(sentence)
+                    self.link.disable(sentence)
                 else:
-                    self.link.trouble(key, sentence)
+                    self.link.set_trouble(key, sentence)
 
     def _wake(self) -> None:
         self._decide_again()
@@ -240,7 +242,7 @@ def links(
 
 
 def _input_status(
-    name: str, topic: str, source: WindReadings | SafeStow, stow: WindStow | SafeStow, now_s: float
+    name: str, topic: str, source: WindReadings | SafeInputStow, stow: WindStow | SafeInputStow, now_s: float
 ) -> InputStatus:
     age_s = None if source.heard_s is None else now_s - source.heard_s
     return InputStatus(name, topic, age_s, stow.stowing)

@@ -375,7 +375,7 @@ class _Client(aiomqtt.Client):
                 future.exception()
 
 
-async def at_once(*works: Coroutine[Any, Any, None]) -> None:
+async def run_until_first_ends(*works: Coroutine[Any, Any, None]) -> None:
     """Send and hear at once; the first work that ends ends all, and raises why the connection is lost."""
     tasks = [asyncio.create_task(work) for work in works]
     try:

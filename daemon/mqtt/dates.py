@@ -13,7 +13,7 @@ _Date = tuple[str, float] | str
 _Given = dict[_Date, float]
 
 
-class Dates:
+class ReplayGuard:
     """Remembers the latest commands, and among them all from the time that a command may take to arrive.
 
     Parameters
@@ -40,7 +40,7 @@ class Dates:
         CommandError
             In one sentence.
         """
-        if command.wanted == "stop":
+        if command.action == "stop":
             return
         if command.time_utc_s is None or command.identifier is None:
             if self._required:
@@ -61,7 +61,7 @@ class Dates:
             raise CommandError("it was given before this service began to listen: give it again")
         # The time alone is not enough: two programs, or one, may give two commands in one second.
         date = repr(command) if command.identifier is None else (command.identifier, command.time_utc_s)
-        self._refuse_repeated(date, now_s, urgent=command.wanted in URGENT)
+        self._refuse_repeated(date, now_s, urgent=command.action in URGENT)
 
     def _refuse_repeated(self, date: _Date, now_s: float, *, urgent: bool) -> None:
         if any(date in given for given in self._given_by_urgency.values()):

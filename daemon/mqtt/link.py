@@ -11,9 +11,9 @@ from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.reconnect import Backoff, Outage
 from daemon.base.records import Event, Record
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.config.links import MqttSettings
-from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, VersionRefusedError, at_once
+from daemon.mqtt.connection import Connection, ConnectionLostError, Incoming, VersionRefusedError, run_until_first_ends
 from daemon.mqtt.outbox import Lane, Message, Outbox
 from daemon.mqtt.topics import Topics
 from daemon.service.status import LinkStatus
@@ -136,7 +136,7 @@ class Link:
         self._outbox.put(message, Lane.ANSWERS if answer else Lane.TELEMETRY)
         self._date_the_first_loss()
 
-    def waits(self, message: Message) -> bool:
+    def is_waiting(self, message: Message) -> bool:
         """Return whether this very message waits to be sent."""
         return message in self._outbox
 
@@ -145,7 +145,7 @@ class Link:
         if self._connected:
             self._outbox.put(message, Lane.URGENT)
 
-    def trouble(self, subject: str, sentence: str | None) -> None:
+    def set_trouble(self, subject: str, sentence: str | None) -> None:
         """Show what does not work, or with None that it works again; the log has each subject once an hour at most."""
         now_s = self._clock.monotonic()
         if sentence is None:
@@ -158,7 +158,7 @@ class Link:
                 self._report(sentence)
             self._troubles[subject] = sentence
 
-    def renounce(self, sentence: str) -> None:
+    def disable(self, sentence: str) -> None:
         """Never connect, and show why; to be called before `run`."""
         self._renounced = True
         self._down_why = sentence
@@ -197,7 +197,7 @@ class Link:
                 rights = f"does it let this user read and write {self._topics.base}/#?"
                 raise ConnectionLostError(f"{error} as soon as it was used: {rights}") from None
             timers = self._start_timers()
-            await at_once(self._send_all(connection), self._receive_all(connection))
+            await run_until_first_ends(self._send_all(connection), self._receive_all(connection))
         except asyncio.CancelledError:
             with contextlib.suppress(ConnectionLostError, TimeoutError):
                 async with asyncio.timeout(_LEAVE_WITHIN_S * self._speed):
@@ -218,7 +218,7 @@ class Link:
     async def _subscribe_and_announce(self, connection: Connection) -> None:
         for topic in self._handlers:
             granted = await connection.subscribe(topic, as_published=topic in self._as_published)
-            self.trouble(topic, None if granted else f"the broker does not let {self._client_id} listen to {topic}")
+            self.set_trouble(topic, None if granted else f"the broker does not let {self._client_id} listen to {topic}")
         await connection.publish(Message(self._topics.status, ONLINE, 1, retain=True))
         for messages in self._births:
             for message in messages():
@@ -263,7 +263,7 @@ class Link:
         if length > self._most_bytes:
             most = f"the broker takes no message of more than {self._most_bytes:.0f} bytes"
             wrong = f"{most}, and one for {message.topic} has {length}: raise its limit (mosquitto: max_packet_size)"
-        self.trouble(f"the length on {message.topic}", wrong)
+        self.set_trouble(f"the length on {message.topic}", wrong)
         if wrong is None:
             await connection.publish(message)
         return wrong is None
@@ -280,20 +280,20 @@ class Link:
                 handler(message)
             except Exception as error:  # noqa: BLE001 - no message may end the service; this is logged and shown
                 wrong = f"{subject} cannot be used: {ascii(error)[:200]}"
-        self.trouble(subject, wrong)
+        self.set_trouble(subject, wrong)
 
     def _receive_status(self, message: Incoming) -> None:
         if message.retained:
             return
         if message.payload == ONLINE:
             self._echo_timer.cancel()
-            self.trouble(self._topics.status, None)
+            self.set_trouble(self._topics.status, None)
         else:
             # The will of an earlier connection, or somebody else's message: it is not true.
             self._outbox.put(Message(self._topics.status, ONLINE, 1, retain=True), Lane.URGENT)
 
     def _report_missing_echo(self) -> None:
-        self.trouble(
+        self.set_trouble(
             self._topics.status,
             f"what is published on {self._topics.status} does not come back: the broker must let this user read and"
             f" write {self._topics.base}/#",
@@ -313,7 +313,7 @@ class Link:
         if text:
             lost = self._outbox.dropped - self._reported_dropped
             self._reported_dropped = self._outbox.dropped
-            dropped = f"; {counted(lost, 'message was', 'messages were')} dropped during the outage, the oldest first"
+            dropped = f"; {pluralise(lost, 'message was', 'messages were')} dropped during the outage, the oldest first"
             self._report(f"{text}{dropped if lost else ''}")
 
     def _note_loss(self, why: str) -> None:

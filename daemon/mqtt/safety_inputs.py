@@ -7,7 +7,7 @@ from typing import Any
 
 from daemon.config.links import SafeInput, WindInput
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.topics import find
+from daemon.mqtt.topics import find_value
 from daemon.tracker.stow import StowStatus, release_in_s
 from drivers.numbers import read_number
 
@@ -89,7 +89,7 @@ class WindReadings:
         return speed_m_s
 
 
-class SafeStow:
+class SafeInputStow:
     """Stow while somebody else says that it is unsafe, or says nothing; a `daemon.tracker.stow.StowSource`.
 
     Parameters
@@ -197,4 +197,4 @@ class SafeStow:
 def _value(payload: bytes, path: str) -> Any:
     if len(payload) > _LONGEST:
         raise ValueError(f"the message is longer than {_LONGEST} bytes")
-    return find(payload, path)
+    return find_value(payload, path)

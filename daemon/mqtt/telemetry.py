@@ -5,13 +5,13 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from daemon.base.records import Event, ModeChange, Record, concerns
+from daemon.base.records import Event, ModeChange, Record, is_relevant_to
 from daemon.base.timeloop import wait_at_most
 from daemon.mqtt.link import Link
 from daemon.mqtt.outbox import Message
 from daemon.mqtt.topics import Topics
 from daemon.service.snapshot import Snapshot
-from daemon.service.state import kind_of, number, record_json, state_json, tracker_state_json
+from daemon.service.state import finite_or_none, kind_of, record_json, state_json, tracker_state_json
 
 # By the record's name: quality of service, and whether the broker keeps the last one.
 _MANNERS = {
@@ -64,7 +64,7 @@ class TelemetryPublisher:
 
     def note(self, record: Record) -> None:
         """Queue one record; a change of mode and an alarm bring the state at once."""
-        if not concerns(record, self._tracker):
+        if not is_relevant_to(record, self._tracker):
             return
         kind = kind_of(record)
         qos, retain = _MANNERS[kind]
@@ -91,7 +91,7 @@ class TelemetryPublisher:
         """
         return [
             self._state_message(),
-            *(each for each in self._retained_messages.values() if not self._link.waits(each)),
+            *(each for each in self._retained_messages.values() if not self._link.is_waiting(each)),
         ]
 
     def _state_message(self) -> Message:
@@ -102,4 +102,4 @@ class TelemetryPublisher:
 
 def encoded(found: dict[str, Any]) -> bytes:
     """Return one JSON object as the bytes of a message."""
-    return json.dumps(found, default=number, separators=(",", ":"), allow_nan=False).encode()
+    return json.dumps(found, default=finite_or_none, separators=(",", ":"), allow_nan=False).encode()

@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from daemon.base.json_names import NameTwiceError, once_each
+from daemon.base.json_names import DuplicateNameError, reject_duplicate_names
 
 _LONGEST = 200
 
@@ -95,14 +95,14 @@ class Topics:
 _FORM = re.compile(r"[^.\[\]\s]+(\.[^.\[\]\s]+)*")
 
 
-def check_path(text: str) -> str:
+def check_json_path(text: str) -> str:
     """Return `text` if it is a path of names and list positions with full stops between; `ValueError` if not."""
     if text and _FORM.fullmatch(text) is None:
         raise ValueError(f"{text!r} is not a path such as wind.speed or sensors.0.speed")
     return text
 
 
-def find(payload: bytes, path: str) -> Any:
+def find_value(payload: bytes, path: str) -> Any:
     """Return the value at `path` of a message; with an empty path the message itself, as JSON or else as text.
 
     Raises
@@ -111,8 +111,8 @@ def find(payload: bytes, path: str) -> Any:
         In one sentence: the message is no JSON, has a name twice, or has nothing there.
     """
     try:
-        found = json.loads(payload, object_pairs_hook=once_each)
-    except NameTwiceError as error:
+        found = json.loads(payload, object_pairs_hook=reject_duplicate_names)
+    except DuplicateNameError as error:
         raise ValueError(f"the message has {error.name} twice") from None
     except (ValueError, RecursionError):
         if path:
@@ -134,7 +134,7 @@ if TYPE_CHECKING:
     from daemon.config.settings import Settings
 
 
-def unusable(settings: "Settings") -> dict[str, str]:
+def find_topic_errors(settings: "Settings") -> dict[str, str]:
     """Return what is wrong with a topic, a level of one or a JSON path, by its key; empty where all are good."""
     mqtt = settings.mqtt
     given: dict[str, tuple[Callable[[str], str], str | None]] = {
@@ -143,9 +143,9 @@ def unusable(settings: "Settings") -> dict[str, str]:
         "mqtt.name": (check_level, mqtt.name),
         "mqtt.discovery_prefix": (check_topic, mqtt.discovery_prefix),
         "mqtt.wind.topic": (check_topic, mqtt.wind.topic),
-        "mqtt.wind.json_path": (check_path, mqtt.wind.json_path),
+        "mqtt.wind.json_path": (check_json_path, mqtt.wind.json_path),
         "mqtt.safe.topic": (check_topic, mqtt.safe.topic),
-        "mqtt.safe.json_path": (check_path, mqtt.safe.json_path),
+        "mqtt.safe.json_path": (check_json_path, mqtt.safe.json_path),
     }
     found = {}
     for key, (check, text) in given.items():

@@ -4,7 +4,7 @@ from dataclasses import replace
 from datetime import time
 
 from daemon.base.recurrence import RateLimit
-from daemon.notify.notices import Notice, gathered
+from daemon.notify.notices import Notice, combine_notices
 
 _RETRY_PAUSES_S = (30.0, 60.0, 300.0, 900.0)
 _MOST_WAITING = 200
@@ -22,7 +22,7 @@ class QuietHours:
     def __init__(self, begin: str | None, end: str | None) -> None:
         self._span = None if begin is None or end is None else (time.fromisoformat(begin), time.fromisoformat(end))
 
-    def holds(self, local: time) -> bool:
+    def is_quiet_at(self, local: time) -> bool:
         """Whether it is quiet at this local time."""
         if self._span is None:
             return False
@@ -74,14 +74,14 @@ class Backlog:
         if now_s < self._not_before_s:
             return None
         chosen = self._admit_by_rate(
-            [each for each in self._waiting if each.urgent or not self._quiet.holds(local)], now_s
+            [each for each in self._waiting if each.urgent or not self._quiet.is_quiet_at(local)], now_s
         )
         if not chosen:
             return None
         # A message that was not taken may have been too long for its way. Urgent notices must not wait with the rest.
         chosen = sorted(chosen, key=lambda notice: not notice.urgent)[: max(len(chosen) >> self._failures, 1)]
         self._lost_in_message = self._lost
-        return self._with_loss_note(gathered(chosen, short=self._send_short)), chosen
+        return self._with_loss_note(combine_notices(chosen, short=self._send_short)), chosen
 
     def _admit_by_rate(self, chosen: list[Notice], now_s: float) -> list[Notice]:
         """Return the notices for which the rate allows a message: all, the urgent ones or none."""
@@ -96,7 +96,7 @@ class Backlog:
         lost = f"Older changes were lost because more than {_MOST_WAITING} waited: {self._lost}."
         return replace(notice, body=f"{lost}\n{notice.body}")
 
-    def sent(self, notices: list[Notice]) -> None:
+    def remove_sent(self, notices: list[Notice]) -> None:
         """Take off the notices that were sent."""
         self._failures = 0
         # Some of them may have been counted as lost while they were on their way.
@@ -107,7 +107,7 @@ class Backlog:
         # The rest of a message that was too long would be too long again.
         self._send_short = self._send_short and bool(self._waiting)
 
-    def failed(self, now_s: float) -> float:
+    def note_failure(self, now_s: float) -> float:
         """Note that the message could not be sent, and return the pause [s] until the next try."""
         pause_s = _RETRY_PAUSES_S[min(self._failures, len(_RETRY_PAUSES_S) - 1)]
         self._failures += 1

@@ -17,14 +17,14 @@ import httpx
 from daemon.base.addresses import Address, parse_address
 from daemon.base.clock import Clock, local_time
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier, on_signals
+from daemon.base.process import SystemdNotifier, on_signals
 from daemon.base.reconnect import Outage
 from daemon.base.state import StateFolder
 from daemon.config.links import NotifySettings
 from daemon.notify.backlog import Backlog, QuietHours
 from daemon.notify.notices import Notice, ServiceWatch
 from daemon.notify.recipients import Recipient
-from daemon.notify.told import ToldFile, ToldService
+from daemon.notify.told import NotificationState, NotificationStateFile
 
 log = logging.getLogger("heliocube.notify")
 
@@ -36,7 +36,9 @@ _OUT_OF_DATE = (9, 10)
 _Way = Callable[[], Coroutine[Any, Any, None]]
 
 
-async def test(settings: NotifySettings, recipients: Sequence[Recipient], report: Callable[[str], None]) -> bool:
+async def send_test_notice(
+    settings: NotifySettings, recipients: Sequence[Recipient], report: Callable[[str], None]
+) -> bool:
     """Send everybody one notice, and the heartbeat; report each in a line, and return whether all was taken."""
     text = "This is a test by 'heliocube notify --test'; nothing is the matter."
     notice = Notice("heliocube: a test", text, "warning")
@@ -45,14 +47,18 @@ async def test(settings: NotifySettings, recipients: Sequence[Recipient], report
         taken.append(await recipient.tell(notice))
         report(f"{recipient.name}: {'taken' if taken[-1] else 'not taken; see the lines above'}")
     if settings.heartbeat is not None:
-        trouble = await beat(settings.heartbeat)
+        trouble = await send_heartbeat(settings.heartbeat)
         taken.append(trouble is None)
         report(f"heartbeat: {trouble or 'taken'}")
     return all(taken)
 
 
 async def serve(
-    settings: NotifySettings, recipients: Sequence[Recipient], clock: Clock, manager: Notifier, folder: StateFolder
+    settings: NotifySettings,
+    recipients: Sequence[Recipient],
+    clock: Clock,
+    manager: SystemdNotifier,
+    folder: StateFolder,
 ) -> None:
     """Tell people of alarms until SIGINT, SIGTERM or SIGHUP; `folder` keeps which alarms were told.
 
@@ -70,7 +76,9 @@ async def serve(
 
     # The client ignores the environment (`trust_env`): its proxies are for the world outside, not for the services.
     async with httpx.AsyncClient(trust_env=False) as client:
-        courier = Courier(settings, services, recipients, clock, client, manager.watchdog, ToldFile(folder))
+        courier = Courier(
+            settings, services, recipients, clock, client, manager.watchdog, NotificationStateFile(folder)
+        )
         with on_signals(end_from_outside):
             task = asyncio.create_task(courier.run())
             manager.ready()
@@ -110,18 +118,19 @@ class Courier:
         clock: Clock,
         client: httpx.AsyncClient,
         alive: Callable[[], None] = lambda: None,
-        file: ToldFile | None = None,
+        file: NotificationStateFile | None = None,
     ) -> None:
         self._settings = settings
         self._clock = clock
         self._client = client
         self._on_round = alive
-        self._file = file or ToldFile(StateFolder(None))
+        self._file = file or NotificationStateFile(StateFolder(None))
         now_s, before = clock.monotonic(), self._file.load()
         self._told = before
         own = settings.silent_after_s, settings.at_least, settings.dashboard, now_s
         self._watches = {
-            service: ServiceWatch(str(service), *own, before.get(str(service), ToldService())) for service in services
+            service: ServiceWatch(str(service), *own, before.get(str(service), NotificationState()))
+            for service in services
         }
         quiet = QuietHours(settings.quiet_from, settings.quiet_until)
         self._backlogs = [(recipient, Backlog(quiet, settings.most_per_hour)) for recipient in people]
@@ -158,7 +167,7 @@ class Courier:
             log.info("%s", notice.title)
             for _, backlog in self._backlogs:
                 backlog.put(notice)
-        self._told = {str(service): watch.told for service, watch in self._watches.items()}
+        self._told = {str(service): watch.notification_state for service, watch in self._watches.items()}
         for way, outage in self._ways.items():
             before = self._running_tasks.get(way)
             if before is not None and not before.done():
@@ -178,16 +187,16 @@ class Courier:
             # The client's own limit holds for each piece of an answer, and an answer may have pieces without end.
             async with asyncio.timeout(_ANSWER_WITHIN_S):
                 state = await self._fetch_state(service)
-            return watch.answered(state, self._clock.monotonic())
+            return watch.note_answer(state, self._clock.monotonic())
         except (httpx.HTTPError, TimeoutError) as error:
-            return watch.failed(_reason(error), self._clock.monotonic())
+            return watch.note_failure(_reason(error), self._clock.monotonic())
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            return watch.failed("the program that answers there is not heliocube", self._clock.monotonic())
+            return watch.note_failure("the program that answers there is not heliocube", self._clock.monotonic())
 
     async def _fetch_state(self, service: Address) -> Any:
         # Not compressed: a few compressed bytes may become gigabytes.
         plain, content = {"Accept-Encoding": "identity"}, bytearray()
-        url = f"http://{service.reachable}/api/state"
+        url = f"http://{service.reachable_address}/api/state"
         async with self._client.stream("GET", url, headers=plain, timeout=_ANSWER_WITHIN_S) as reply:
             reply.raise_for_status()
             async for part in reply.aiter_raw():
@@ -203,10 +212,10 @@ class Courier:
         notice, stands_for = due
         outage = self._outages[recipient.name]
         if await recipient.tell(notice):
-            backlog.sent(stands_for)
+            backlog.remove_sent(stands_for)
             outage.up(self._clock.monotonic())
         else:
-            pause_s = backlog.failed(self._clock.monotonic())
+            pause_s = backlog.note_failure(self._clock.monotonic())
             outage.down(self._clock.monotonic(), f"a message was not accepted; next try in {pause_s:g} s")
 
     async def _send_heartbeat(self) -> None:
@@ -214,7 +223,7 @@ class Courier:
         if settings.heartbeat is None or now_s - self._last_heartbeat_s < settings.heartbeat_every_s:
             return
         self._last_heartbeat_s = now_s
-        trouble = await beat(settings.heartbeat)
+        trouble = await send_heartbeat(settings.heartbeat)
         if trouble is None:
             self._heartbeat_outage.up(now_s)
         else:
@@ -224,7 +233,7 @@ class Courier:
         return local_time(self._clock.utc()).time()
 
 
-async def beat(address: str) -> str | None:
+async def send_heartbeat(address: str) -> str | None:
     """Ask the address of the heartbeat once, and return what is wrong with it, or None."""
     try:
         async with (

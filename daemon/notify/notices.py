@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
-from daemon.base.alarms.kinds import as_typed
+from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.clock import local_time
-from daemon.notify.told import ToldAlarm, ToldService
+from daemon.notify.told import NotificationState, NotifiedAlarm
 
 # Alarms by tracker (empty for the cube's) and name.
 _Shown = dict[tuple[str, str], dict[str, Any]]
 
 SEVERITIES = ("notice", "warning", "critical")
-_NOTHING = ToldService()
+_NOTHING = NotificationState()
 # systemd's unit by the role of a service.
 _UNITS = {"cube": "heliocube-cube", "tracker": "heliocube-tracker", "both": "heliocube-tracker"}
 # Pushover takes 1024 letters; other services take more.
@@ -31,7 +31,7 @@ class Notice:
         A line, and some more.
     severity
         One of `SEVERITIES`.
-    good
+    is_recovery
         Whether it is the end of something.
     since
         Since when the alarm is or was on, in words; empty if that is not known.
@@ -42,7 +42,7 @@ class Notice:
     title: str
     body: str
     severity: str
-    good: bool = False
+    is_recovery: bool = False
     since: str = ""
     brief: str = ""
 
@@ -82,7 +82,7 @@ class ServiceWatch:
         at_least: str,
         link: str | None,
         now_s: float,
-        before: ToldService = _NOTHING,
+        before: NotificationState = _NOTHING,
     ) -> None:
         self._address = address
         self._silent_after_s = silent_after_s
@@ -93,15 +93,15 @@ class ServiceWatch:
         self._unit = "heliocube-tracker heliocube-cube"
         self._has_answered = self._silent = self._has_several_trackers = False
         self._was_silent = before.silent
-        self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_shown() for alarm in before.alarms}
+        self._known: _Shown = {(alarm.tracker or "", alarm.name): alarm.as_api_alarm() for alarm in before.alarms}
         self._told = before
 
     @property
-    def told(self) -> ToldService:
+    def notification_state(self) -> NotificationState:
         """What has been told, or is about to be, for a restart."""
         return self._told.model_copy(update={"silent": self._silent or self._was_silent})
 
-    def answered(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
+    def note_answer(self, state: Mapping[str, Any], now_s: float) -> list[Notice]:
         """Take in the JSON of /api/state; anything else raises an error such as `KeyError`, and counts as silence."""
         before, self._name = self._name, f"{state['site']['name']}{' SIMULATED' if state['simulated'] else ''}"
         try:
@@ -110,7 +110,7 @@ class ServiceWatch:
             shown |= self._hidden(_muted_trackers(state), shown)
             changes = list(self._changes(shown))
             on = [alarm for alarm in shown.values() if self._is_severe_enough(alarm) and alarm["state"] != "cleared"]
-            told = ToldService(alarms=[ToldAlarm.model_validate(alarm) for alarm in on])
+            told = NotificationState(alarms=[NotifiedAlarm.model_validate(alarm) for alarm in on])
         except Exception:
             self._name = before
             raise
@@ -120,7 +120,7 @@ class ServiceWatch:
         self._unit = _UNITS.get(str(state.get("role")), self._unit)
         return notices
 
-    def failed(self, why: str, now_s: float) -> list[Notice]:
+    def note_failure(self, why: str, now_s: float) -> list[Notice]:
         """Take in that the service did not answer."""
         silent_s = now_s - self._heard_s
         if self._silent or not silent_s >= self._silent_after_s:
@@ -207,7 +207,7 @@ def _tracker_prefix(alarm: Mapping[str, Any]) -> str:
 
 
 def _stays_shown_text(alarm: Mapping[str, Any], *, several: bool) -> str:
-    command = as_typed(f"heliocube alarms ack {alarm['name']}", alarm["tracker"] if several else None)
+    command = with_tracker_option(f"heliocube alarms ack {alarm['name']}", alarm["tracker"] if several else None)
     return f"It stays shown until somebody acknowledges it: '{command}'."
 
 
@@ -219,7 +219,7 @@ def _local_time_text(iso_utc: str) -> str:
     return f"{there:%Y-%m-%d %H:%M:%S} {zone}"
 
 
-def gathered(notices: list[Notice], *, short: bool = False) -> Notice:
+def combine_notices(notices: list[Notice], *, short: bool = False) -> Notice:
     """Return several notices as one: the worst severity, and a line each with name and time.
 
     The line says what is the matter as far as there is room; with `short` it never does.
@@ -235,5 +235,5 @@ def gathered(notices: list[Notice], *, short: bool = False) -> Notice:
         room -= len(notice.brief) if fits else 0
         lines.append(f"{name}: {notice.brief}" if fits else name)
     last = [line for line in notices[-1].body.splitlines()[-1:] if line.startswith("http")]
-    good = all(notice.good for notice in notices)
+    good = all(notice.is_recovery for notice in notices)
     return Notice(f"heliocube: {len(notices)} changes of alarms", "\n".join([*lines, *last]), worst.severity, good)

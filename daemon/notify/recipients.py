@@ -66,7 +66,7 @@ class AppriseRecipient:
         if self._sending is not None and not self._sending.done():
             return False
         kind = self._kinds.FAILURE if notice.urgent else self._kinds.WARNING
-        if notice.good:
+        if notice.is_recovery:
             kind = self._kinds.SUCCESS
         send = partial(self._service.notify, title=notice.title, body=notice.body, notify_type=kind)
         try:

@@ -12,7 +12,7 @@ log = logging.getLogger("heliocube.notify")
 FILE_NAME = "told.json"
 
 
-class ToldAlarm(BaseModel):
+class NotifiedAlarm(BaseModel):
     """One alarm that was on and has been told, as `/api/state` had it."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
@@ -24,29 +24,29 @@ class ToldAlarm(BaseModel):
     tracker: str | None = None
     acknowledged_at: str | None = None
 
-    def as_shown(self) -> dict[str, Any]:
+    def as_api_alarm(self) -> dict[str, Any]:
         """Return it as an alarm that is on, but without its time: so an alarm that is still on is told once more."""
         return {**self.model_dump(), "state": "raised", "raised_at": ""}
 
 
-class ToldService(BaseModel):
+class NotificationState(BaseModel):
     """What people were told of one service: whether it did not answer, and which alarms were on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     silent: bool = False
-    alarms: list[ToldAlarm] = Field(default_factory=list)
+    alarms: list[NotifiedAlarm] = Field(default_factory=list)
 
 
-class ToldOfAll(BaseModel):
+class NotificationStates(BaseModel):
     """What people were told of all services, by the services' addresses."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    services: dict[str, ToldService] = Field(default_factory=dict)
+    services: dict[str, NotificationState] = Field(default_factory=dict)
 
 
-class ToldFile:
+class NotificationStateFile:
     """A small file with what was told; in a folder without a directory nothing is kept.
 
     Parameters
@@ -57,10 +57,10 @@ class ToldFile:
 
     def __init__(self, folder: StateFolder) -> None:
         self._folder = folder
-        self._file = StateFile(folder, FILE_NAME, ToldOfAll, log, "which alarms were told")
-        self._saved: ToldOfAll | None = None
+        self._file = StateFile(folder, FILE_NAME, NotificationStates, log, "which alarms were told")
+        self._saved: NotificationStates | None = None
 
-    def load(self) -> dict[str, ToldService]:
+    def load(self) -> dict[str, NotificationState]:
         """Return what was kept, by address; nothing if the file cannot be read, which is logged."""
         try:
             kept = self._file.load()
@@ -69,9 +69,9 @@ class ToldFile:
             return {}
         return {} if kept is None else kept.services
 
-    def save(self, services: dict[str, ToldService]) -> None:
+    def save(self, services: dict[str, NotificationState]) -> None:
         """Have the file replaced as a whole if anything has changed; after a failure of the disk, try again."""
-        whole = ToldOfAll(services=services)
+        whole = NotificationStates(services=services)
         if whole != self._saved:
             self._saved = whole
             self._file.save(whole)

@@ -14,13 +14,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.clock import iso_utc
 from daemon.base.records import Event, Irradiances, Mode, Pose, Record, Scan, Target
-from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError, roll_over_day
 from daemon.config.settings import Settings
 from daemon.received.today import Insolation, ReceivedToday
-from daemon.tracker.budget import Used, is_early
+from daemon.tracker.budget import UsedBudget, is_ahead_of_schedule
 from daemon.tracker.law_answers import checked_kept
 from daemon.tracker.phase import ALONE, Phase
-from daemon.tracker.pointing import ShadowLaw, Whereabouts, ask, reading_of
+from daemon.tracker.pointing import PoseAndTarget, ShadowLaw, ask_law, reading_of
 from solar.energy import Drive
 from solar.ephemeris import DAY_S
 from solar.frames import Angles
@@ -38,7 +38,7 @@ _Moves = Field(default=0, ge=0)
 
 
 @dataclass(frozen=True, slots=True)
-class Active:
+class ActiveTracker:
     """What the tracker itself is doing.
 
     Attributes
@@ -57,7 +57,7 @@ class Active:
 
     mode: Mode
     pose: Pose | None
-    used: Used
+    used: UsedBudget
     received: ReceivedToday
     mean: Callable[[], Irradiances | None]
 
@@ -156,7 +156,7 @@ class Shadow:
         self._later_day: Travel | None = None
         self._axes = _SimulatedAxes()
         self._due_s = self._moved_s = self._saved_s = self._heard_s = -math.inf
-        self._used_before: Used | None = None
+        self._used_before: UsedBudget | None = None
         self._mode_before = Mode.STARTING
         self._failed_why: str | None = None
         self._failure_told = False
@@ -186,7 +186,7 @@ class Shadow:
             self._fail(error)
             return None
 
-    def add(self, scan: Scan, active: Active, utc_s: float) -> None:
+    def add(self, scan: Scan, active: ActiveTracker, utc_s: float) -> None:
         """Take in a scan that has just arrived at this UTC [s], before the tracker's own count takes it in."""
         if self._failed_why is None:
             try:
@@ -206,7 +206,7 @@ class Shadow:
     def _keep(self) -> None:
         self._law_file.save(checked_kept(self._named.law.to_dict()))
 
-    def _add(self, scan: Scan, active: Active, utc_s: float) -> None:
+    def _add(self, scan: Scan, active: ActiveTracker, utc_s: float) -> None:
         now_s = scan.time_monotonic_s
         if now_s - self._heard_s > self._settings.safety.fallback_after_s:
             # If the tracker moved without readings, no law that decides by readings has moved it.
@@ -232,8 +232,8 @@ class Shadow:
         law, motion, heading = self._named.law, self._settings.motion, self._axes.heading
         if heading is None:
             return
-        whereabouts = Whereabouts(self._axes.pose(utc_s), Target(*heading, ""))
-        said = ask(self._named, mean, whereabouts, utc_s, sun_known=True)
+        whereabouts = PoseAndTarget(self._axes.pose(utc_s), Target(*heading, ""))
+        said = ask_law(self._named, mean, whereabouts, utc_s, sun_known=True)
         if not said.worth_moving(heading, motion.deadband_deg):
             return
         there = Angles(said.target.a_deg, said.target.b_deg)
@@ -242,7 +242,7 @@ class Shadow:
         within = (
             travel.travelled_deg + distance_deg <= motion.travel_per_day_deg
             and travel.moves < motion.moves_per_day
-            and not is_early(travel.moves, motion, self._settings.site.place(), utc_s)
+            and not is_ahead_of_schedule(travel.moves, motion, self._settings.site.place(), utc_s)
         )
         if within and law.affords(distance_deg):
             law.book(distance_deg)
@@ -251,15 +251,15 @@ class Shadow:
             self._moved_s = now_s
             self._travel = travel.plus(shadow=(distance_deg, 1))
 
-    def _count_moves(self, active: Active) -> None:
+    def _count_moves(self, active: ActiveTracker) -> None:
         """Count what the tracker's laws have moved since the last scan; outside of tracking, it counts for both."""
         used, mode = active.used, active.mode
         before, self._used_before = self._used_before, used
         if before is None:
             # The first move of a service that has just begun is often ordered before the first scan gets here.
-            before = Used(day=used.day) if used.moves <= 1 and self._travel.active_moves == 0 else used
+            before = UsedBudget(day=used.day) if used.moves <= 1 and self._travel.active_moves == 0 else used
         elif before.day != used.day:
-            before = Used(day=used.day)
+            before = UsedBudget(day=used.day)
         alike, self._mode_before = Mode.TRACKING not in (mode, self._mode_before), mode
         # The tracker's own count may begin its day a little later.
         if used == before or used.day != self._travel.day:
@@ -267,7 +267,7 @@ class Shadow:
         more = (used.travelled_deg - before.travelled_deg, used.moves - before.moves)
         self._travel = self._travel.plus(active=more, shadow=more if alike else (0.0, 0))
 
-    def _turn_day(self, scan: Scan, active: Active, utc_s: float) -> None:
+    def _turn_day(self, scan: Scan, active: ActiveTracker, utc_s: float) -> None:
         """Report the day that has ended, and begin the next."""
         if self._named.law.turn(utc_s):
             self._keep()
@@ -278,7 +278,7 @@ class Shadow:
         if told:
             log.info("%s", told)
             self._publish(Event(utc_s, scan.time_monotonic_s, "shadow", told))
-        self._travel, self._later_day = turn_day(day, self._travel, self._later_day, Travel(day=day))
+        self._travel, self._later_day = roll_over_day(day, self._travel, self._later_day, Travel(day=day))
         # So that the new day is saved with the next scan.
         self._saved_s = -math.inf
 

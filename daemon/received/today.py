@@ -10,11 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.clock import LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S
 from daemon.base.records import Pose, Quality, Scan
-from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError, roll_over_day
 from daemon.tracker.phase import ALONE, Phase
 from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import Limits
-from solar.received import received
+from solar.received import received_irradiance
 
 log = logging.getLogger("heliocube.received")
 
@@ -40,7 +40,7 @@ class Insolation(BaseModel):
     known_s
         The time that counts: with the sun up, a pose, and three good faces.
     actual_kwh_m2, chronometric_kwh_m2, best_kwh_m2
-        As :class:`solar.received.Received`, over that time.
+        As :class:`solar.received.ReceivedIrradiance`, over that time.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -59,7 +59,9 @@ class Insolation(BaseModel):
 
 
 class ReceivedToday:
-    """Counts through a solar day, from minute to minute, what three planes receive by :func:`solar.received.received`.
+    """Counts through a solar day, minute by minute, what three planes receive.
+
+    The irradiance is that of :func:`solar.received.received_irradiance`.
 
     Parameters
     ----------
@@ -121,7 +123,7 @@ class ReceivedToday:
             self._end_mean(utc_s)
 
     @property
-    def counted(self) -> Insolation:
+    def today_without_pending(self) -> Insolation:
         """The count without the minutes that wait to be taken in."""
         return self._today if self._today.day == self._day else Insolation(day=self._day)
 
@@ -159,7 +161,7 @@ class ReceivedToday:
         self._add_waiting_means()
         # With a clock that was years behind, the sun was reckoned at a wrong place: that count is no part of this day.
         fresh = Insolation(day=self._day)
-        self._today, self._later_day = turn_day(self._day, self._today, self._later_day, fresh)
+        self._today, self._later_day = roll_over_day(self._day, self._today, self._later_day, fresh)
 
     def _add_waiting_means(self) -> None:
         """Add all means that wait, in one call: it costs little more than a single one."""
@@ -168,7 +170,7 @@ class ReceivedToday:
         begun, lasting, means = (np.array(column) for column in zip(*self._waiting_means, strict=True))
         self._waiting_means.clear()
         sun = sun_direction(begun + lasting / 2.0, *self._site)
-        planes = received(means[:, :4], sun, means[:, 4], means[:, 5], self._limits, self._albedo())
+        planes = received_irradiance(means[:, :4], sun, means[:, 4], means[:, 5], self._limits, self._albedo())
         known = np.isfinite(planes.actual_w_m2)
         if known.any():
             self._add(float(begun[known][0]), lasting[known], [plane[known] for plane in planes])

@@ -16,12 +16,12 @@ from daemon.base.files import replace_file
 from daemon.base.process import on_signals
 from daemon.base.records import FACES
 from daemon.config.file import override
-from daemon.config.keys import Chosen
+from daemon.config.keys import Drivers
 from daemon.config.keys import keys as every_key
 from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED, POSITIONER, SCANNING_METER
 from daemon.config.settings import Settings
 from daemon.config.simulation import DEFAULT_START
-from daemon.config.template import FILE_NAME, example
+from daemon.config.template import FILE_NAME, render_config
 from daemon.rigs.simulated import BenchPorts, build_weather, run_bench
 from drivers.cube.pyranometers.settings import PyranometersSettings
 from drivers.positioners.rotctld.driver import RotctldSettings
@@ -54,7 +54,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
     settings = _with_distinct_addresses(settings)
     directory = directory.absolute()
     file = _claim(directory)
-    process.configure(sys.stderr, journal=False, level=logging.INFO)
+    process.configure_logging(sys.stderr, journal=False, level=logging.INFO)
     with asyncio.Runner() as runner:
         loop = runner.get_loop()
         anchor = datetime.fromtimestamp(SystemClock().utc(), UTC)
@@ -73,7 +73,7 @@ def serve_bench(settings: Settings, directory: Path) -> None:
                 (POSITIONER.path, served.instruments.positioner.driver),
             )
             try:
-                replace_file(file, f"{_MARK}\n{example('both', _values(served, chosen), chosen)}")
+                replace_file(file, f"{_MARK}\n{render_config('both', _values(served, chosen), chosen)}")
             except OSError as error:
                 raise UserError(f"{file} cannot be written: {error.strerror}") from None
             sys.stdout.write("ready\n")
@@ -94,7 +94,7 @@ def _with_distinct_addresses(settings: Settings) -> Settings:
     devices = list(dict.fromkeys(places))
     if len({address for _, address in devices}) == len(devices):
         return settings
-    values: dict[str, Any] = CUBE.changed(own, {})
+    values: dict[str, Any] = CUBE.table_with_changes(own, {})
     for face, place in zip(FACES, places, strict=True):
         values[face] = {**values.get(face, {}), "address": devices.index(place) + 1}
     return override(settings, {"instruments": settings.instruments.model_dump() | {"cube": values}})
@@ -135,8 +135,8 @@ def _positioner(settings: Settings, directory: Path, ports: BenchPorts) -> dict[
     """Return the section of the positioner; a rotctld that `settings` name stays."""
     own = settings.instruments.positioner
     if not isinstance(own, RotctldSettings):
-        return POSITIONER.changed(own, {"port": str(directory / "positioner")})
-    return POSITIONER.changed(own, {"server": own.server or f"127.0.0.1:{ports.rotctld}"})
+        return POSITIONER.table_with_changes(own, {"port": str(directory / "positioner")})
+    return POSITIONER.table_with_changes(own, {"server": own.server or f"127.0.0.1:{ports.rotctld}"})
 
 
 def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, Any]:
@@ -145,11 +145,11 @@ def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, A
     if own.driver == MULTIPLEXED:
         return {"driver": MULTIPLEXED}
     if own.driver == LABJACK:
-        return CUBE.changed(own, {"line": f"tcp:127.0.0.1:{ports.modbus}"})
+        return CUBE.table_with_changes(own, {"line": f"tcp:127.0.0.1:{ports.modbus}"})
     if own.driver == SCANNING_METER:
-        return CUBE.changed(own, {"resource": f"ASRL{directory / 'cube'}::INSTR", "visa": "py"})
+        return CUBE.table_with_changes(own, {"resource": f"ASRL{directory / 'cube'}::INSTR", "visa": "py"})
     # Linux pseudo-terminals have no parity.
-    values: dict[str, Any] = CUBE.changed(own, {"line": str(directory / "cube"), "serial_form": "8N1"})
+    values: dict[str, Any] = CUBE.table_with_changes(own, {"line": str(directory / "cube"), "serial_form": "8N1"})
     if str(getattr(own, "line", "")).startswith("tcp:"):
         values["line"] = f"tcp:127.0.0.1:{ports.modbus}"
     for face in FACES:
@@ -158,7 +158,7 @@ def _cube(settings: Settings, directory: Path, ports: BenchPorts) -> dict[str, A
     return values
 
 
-def _values(settings: Settings, chosen: Chosen) -> dict[str, Any]:
+def _values(settings: Settings, chosen: Drivers) -> dict[str, Any]:
     """Return every value by its key's path; keys of drivers and laws that are not chosen have no value."""
     values = {}
     for path in every_key(chosen):

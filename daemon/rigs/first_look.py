@@ -17,7 +17,7 @@ LONG_ENOUGH_S = 7.0
 _LOOKS_EVERY_S = 0.1
 
 
-async def watched(positioner: Positioner, clock: Clock, seconds: float = LONG_ENOUGH_S) -> Telemetry:
+async def watch_telemetry(positioner: Positioner, clock: Clock, seconds: float = LONG_ENOUGH_S) -> Telemetry:
     """Read telemetry for `seconds` and return the last: a contradiction shows only in two statuses after each other.
 
     Raises `DeviceError` if the positioner falls silent.
@@ -30,19 +30,19 @@ async def watched(positioner: Positioner, clock: Clock, seconds: float = LONG_EN
         await asyncio.sleep(_LOOKS_EVERY_S)
 
 
-def refuse_noted(settings: Settings, seen: Telemetry) -> None:
+def check_noted_obstacles(settings: Settings, seen: Telemetry) -> None:
     """Raise `RefusedError` if the service, which does not run now, has noted why it would not move the positioner."""
     directory = settings.store.directory
     # The notes of a simulated rig are about another unit.
     if directory is None or not settings.real:
         return
     folder = StateFolder(directory)
-    stillness = kept_wishes(folder).stillness
-    if stillness is not None:
+    standstill_reason = kept_wishes(folder).standstill_reason
+    if standstill_reason is not None:
         raise RefusedError(
             "positioner",
-            f"is not moved, because {directory / wishes.FILE_NAME} has noted that it is {stillness}; 'heliocube auto'"
-            " ends that while the service runs, and nothing else does",
+            f"is not moved, because {directory / wishes.FILE_NAME} has noted that it is {standstill_reason};"
+            " 'heliocube auto' ends that while the service runs, and nothing else does",
         )
     doubts = kept_doubts(folder, seen)
     if doubts:

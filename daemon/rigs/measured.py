@@ -47,7 +47,7 @@ def gap_note(
     )
 
 
-def measured_weather(path: Path) -> MeasuredWeather:
+def read_weather(path: Path) -> MeasuredWeather:
     """Read a weather file; `UserError` if it cannot be used."""
     try:
         return load_weather(path)
@@ -63,7 +63,7 @@ def weather_notes(
     return [note for note in notes if note]
 
 
-def by_the_minute(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tuple[Array, Array, Array], list[str]]:
+def merge_to_minutes(weathers: Sequence[MeasuredWeather], site: Site) -> tuple[tuple[Array, Array, Array], list[str]]:
     """Return whole minutes [s UTC] with DNI and DHI [W/m2] at each, and notes on the files for people.
 
     A gap between two files is bridged like one within a file, and reported as missing if it is too long. Where files

@@ -9,7 +9,7 @@ from daemon.base.records import FACES
 from daemon.config.plugged import MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
-from daemon.cube.calibration import calibrated
+from daemon.cube.calibration import calibrated_irradiance
 from daemon.rigs.real import build_multiplexer, build_voltmeter, voltmeter_line
 from drivers.errors import ConnectError, DeadlineError, OverRangeError
 from drivers.meters.keithley2000 import Keithley2000, require_model
@@ -165,4 +165,7 @@ async def _measure_input(meter: Keithley2000, settings: Settings, name: str | No
         return "beyond the range", None
     if name not in FACES:
         return f"{voltage_mv:+z.4f} mV", voltage_mv
-    return f"{voltage_mv:+z.4f} mV, {calibrated(voltage_mv, getattr(settings.cube, name)):z.1f} W/m2", voltage_mv
+    return (
+        f"{voltage_mv:+z.4f} mV, {calibrated_irradiance(voltage_mv, getattr(settings.cube, name)):z.1f} W/m2",
+        voltage_mv,
+    )

@@ -63,7 +63,7 @@ async def probe_load(
         answers = await _answers(line, dialect, own.deadline_s)
     finally:
         await line.close()
-    known = dialect.knows(answers["identity"])
+    known = dialect.matches_identity(answers["identity"])
     for name, answer in answers.items():
         say(f"{name}: {answer}")
         if name == "identity" and not known:
@@ -84,7 +84,7 @@ async def _answers(line: ScpiLine, dialect: Dialect, deadline_s: float) -> dict[
         raise ConnectError(
             "load", f"does not answer *IDN? within {deadline_s:g} s; is it on, and set to this interface?"
         )
-    questions = {"input on": dialect.is_on, "mode": dialect.mode_proof[0], "all in one line": dialect.measure}
+    questions = {"input on": dialect.on_query, "mode": dialect.mode_proof[0], "all in one line": dialect.measure}
     if dialect.select_proof is not None:
         questions = {"channel": dialect.select_proof[0], "module": dialect.identify_channel} | questions
     return {"identity": identity} | {name: await ask(query) or "no answer" for name, query in questions.items()}

@@ -9,12 +9,12 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.config.plugged import PYRANOMETERS
 from daemon.config.settings import Settings
-from drivers.cube.pyranometers.makes import Block, Make, Told, WhoAmI, WrongSensorError, make_of
+from drivers.cube.pyranometers.makes import Block, Make, SensorIdentity, SensorReading, WrongSensorError, make_of
 from drivers.cube.pyranometers.settings import MakeName, PyranometersSettings
-from drivers.errors import DeadlineError, RefusedError, UnreachedError
+from drivers.errors import DeadlineError, RefusedError, UnavailableError
 from drivers.modbus.client import ModbusBus
-from drivers.modbus.paths import ModbusPath, path_to
-from drivers.modbus.pdu import READ_HOLDING, READ_INPUT, write_coil, write_register
+from drivers.modbus.paths import ModbusTransport, build_transport
+from drivers.modbus.pdu import READ_HOLDING, READ_INPUT_REGISTERS, write_coil, write_register
 from drivers.transcript import Tap, no_tap
 
 Say = Callable[[str], object]
@@ -31,7 +31,7 @@ _UNCHANGEABLE_WHY = {
 }
 
 
-class Answering(NamedTuple):
+class AnsweringDevice(NamedTuple):
     """A device that answers.
 
     Attributes
@@ -83,7 +83,7 @@ class ModbusProbe:
         clock: Clock,
         say: Say,
         tap: Tap = no_tap,
-        path: Callable[[str], ModbusPath] | None = None,
+        path: Callable[[str], ModbusTransport] | None = None,
     ) -> None:
         own = settings.instruments.cube
         if own.driver != PYRANOMETERS:
@@ -167,7 +167,7 @@ class ModbusProbe:
         if sensor.serial is not None:
             self._say(f"  pin it: serial = {sensor.serial} in [instruments.cube.{face}]")
 
-    async def _write_address(self, bus: ModbusBus, sensor: Answering, wanted: int, ask: Ask) -> bool:
+    async def _write_address(self, bus: ModbusBus, sensor: AnsweringDevice, wanted: int, ask: Ask) -> bool:
         register = self._address_register(sensor)
         if register is None:
             make = sensor.make or self._own.make
@@ -184,7 +184,7 @@ class ModbusProbe:
             await bus.ask(write_register(sensor.unit, register, wanted), self._within_s)
         return True
 
-    async def _confirm(self, bus: ModbusBus, line: str, sensor: Answering, wanted: int, ask: Ask) -> None:
+    async def _confirm(self, bus: ModbusBus, line: str, sensor: AnsweringDevice, wanted: int, ask: Ask) -> None:
         while True:
             ask("Written. Switch the sensor off and on, wait ten seconds, and press Enter")
             found = await self._find(bus, line, [wanted])
@@ -201,21 +201,21 @@ class ModbusProbe:
             if ask("Try again? Enter, or n and Enter").strip().lower() == "n":
                 return
 
-    def _address_register(self, sensor: Answering) -> int | None:
+    def _address_register(self, sensor: AnsweringDevice) -> int | None:
         if sensor.make in _ADDRESS_REGISTERS:
             return _ADDRESS_REGISTERS[sensor.make]
         unknown = sensor.make is None or sensor.make == "map"
         return self._own.map.address_register if unknown and self._own.make == "map" else None
 
-    async def _find(self, bus: ModbusBus, line: str, units: Sequence[int]) -> list[Answering]:
+    async def _find(self, bus: ModbusBus, line: str, units: Sequence[int]) -> list[AnsweringDevice]:
         found = []
         for unit in units:
             try:
                 await self._greet(bus, unit, twice=self._face_at(line, unit) is not None)
             except DeadlineError as error:
                 # A gateway answers in place of devices that are not there.
-                if error.message and not isinstance(error, UnreachedError):
-                    found.append(Answering(unit, _GARBLED))
+                if error.message and not isinstance(error, UnavailableError):
+                    found.append(AnsweringDevice(unit, _GARBLED))
                 continue
             found.append(await self._identify_unit(bus, line, unit))
         return found
@@ -232,25 +232,25 @@ class ModbusProbe:
                 return await bus.read(unit, *block, self._within_s)
         return await bus.read(unit, *block, self._within_s)
 
-    async def _identify_unit(self, bus: ModbusBus, line: str, unit: int) -> Answering:
+    async def _identify_unit(self, bus: ModbusBus, line: str, unit: int) -> AnsweringDevice:
         text = "answers; its make is not known here, see docs/instruments.md for a map"
         for name, make in self._candidates(line, unit):
             try:
                 words = await self._read(bus, unit, make.proof) if make.proof else ()
                 more = [await self._read(bus, unit, block) for block in make.more]
                 who = make.identify(words, *more)
-                told = make.told(await self._read(bus, unit, make.data))
+                told = make.decode(await self._read(bus, unit, make.data))
             except DeadlineError as error:
                 text = _GARBLED if error.message else text
             except (RefusedError, WrongSensorError):
                 pass
             else:
                 return self._answering(unit, name, who, told)
-        return Answering(unit, text)
+        return AnsweringDevice(unit, text)
 
-    def _answering(self, unit: int, name: MakeName, who: WhoAmI, told: Told) -> Answering:
+    def _answering(self, unit: int, name: MakeName, who: SensorIdentity, told: SensorReading) -> AnsweringDevice:
         value = "no value" if told.flaw else f"{told.w_m2:z.2f} W/m2"
-        return Answering(unit, f"{who.text}: {value}{', ' if told.note else ''}{told.note}", name, who.serial)
+        return AnsweringDevice(unit, f"{who.text}: {value}{', ' if told.note else ''}{told.note}", name, who.serial)
 
     def _candidates(self, line: str, unit: int) -> Iterator[tuple[MakeName, Make]]:
         """Yield the makes that can be recognised, then the one that is configured for this address."""
@@ -267,7 +267,7 @@ class ModbusProbe:
                 return face
         return None
 
-    def _face_of(self, line: str, found: Answering) -> str:
+    def _face_of(self, line: str, found: AnsweringDevice) -> str:
         face = self._face_at(line, found.unit)
         if face is None:
             return "; not configured"
@@ -277,7 +277,7 @@ class ModbusProbe:
         return f"; configured as the {face} face"
 
     async def _clear(self, bus: ModbusBus, unit: int) -> None:
-        (code,) = await bus.read(unit, READ_INPUT, _SMP_ERROR_CODE, 1, self._within_s)
+        (code,) = await bus.read(unit, READ_INPUT_REGISTERS, _SMP_ERROR_CODE, 1, self._within_s)
         if not code:
             self._say("    it keeps no error")
             return
@@ -294,7 +294,9 @@ class ModbusProbe:
             path = self._path(line)
         else:
             try:
-                path = path_to("cube", line, own.serial_speed, own.serial_form, self._clock.monotonic, self._tap)
+                path = build_transport(
+                    "cube", line, own.serial_speed, own.serial_form, self._clock.monotonic, self._tap
+                )
             except ValueError:
                 raise UserError(
                     f"--line {line!r} is neither a serial port whose name outlives a replug, nor tcp:HOST:PORT, nor"

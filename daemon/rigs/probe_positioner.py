@@ -9,7 +9,7 @@ from typing import Any
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
-from daemon.rigs.first_look import LONG_ENOUGH_S, refuse_noted, watched
+from daemon.rigs.first_look import LONG_ENOUGH_S, check_noted_obstacles, watch_telemetry
 from daemon.rigs.real import positioner_surroundings, pozsol_settings
 from drivers.errors import RefusedError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
@@ -66,7 +66,9 @@ async def probe_positioner(
         say(f"board {identity.board}, firmware {identity.firmware}, serial {identity.serial}")
         start_s = clock.monotonic()
         heard.counts.clear()
-        telemetry = await watched(positioner, clock, seconds if move_deg is None else max(seconds, LONG_ENOUGH_S))
+        telemetry = await watch_telemetry(
+            positioner, clock, seconds if move_deg is None else max(seconds, LONG_ENOUGH_S)
+        )
         _report_stream(heard.counts, clock.monotonic() - start_s, say)
         fields = positioner.fields()
         _report_state(telemetry, fields, say)
@@ -76,7 +78,7 @@ async def probe_positioner(
         if move_deg is not None:
             if identity.setup_conflicts:
                 raise RefusedError("positioner", "is not moved while it contradicts the configuration, as said above")
-            refuse_noted(settings, telemetry)
+            check_noted_obstacles(settings, telemetry)
             await _time_moves(positioner, setups, move_deg, clock, say)
         for line in _BY_HAND:
             say(line)
@@ -118,7 +120,7 @@ def _usb_device(path: str) -> str:
 
 
 def _modem_lines(wanted: driver.PozsolSettings, positioner: PozsolPositioner) -> str:
-    if not positioner.has_lines():
+    if not positioner.has_modem_lines():
         return "modem lines: the port has none, so instruments.positioner.dtr and rts have no effect"
     return f"modem lines: DTR {'on' if wanted.dtr else 'off'}, RTS {'on' if wanted.rts else 'off'}"
 

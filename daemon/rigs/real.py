@@ -88,7 +88,7 @@ def build_cube(settings: Settings, clock: Clock) -> Cube:
         raise UserError(str(error)) from None
 
 
-def build_cube_of(settings: Settings, role: Role, clock: Clock) -> Cube:
+def build_cube_for_role(settings: Settings, role: Role, clock: Clock) -> Cube:
     """Return the cube of a process with this role; `UserError` also names the role that may have been meant."""
     try:
         return build_cube(settings, clock)
@@ -180,13 +180,15 @@ def build_real_rig(settings: Settings, role: Role, clock: Clock) -> Rig:
     """
     trackers = () if role is Role.CUBE else settings.trackers
     return Rig(
-        cube=None if role is Role.TRACKER else build_cube_of(settings, role, clock),
+        cube=None if role is Role.TRACKER else build_cube_for_role(settings, role, clock),
         trackers=tuple(
-            TrackerInstruments(build_positioner(own, clock), build_load(own), begins_anew=settings.instruments.bench)
+            TrackerInstruments(
+                build_positioner(own, clock), build_load(own), has_fixed_start_pose=settings.instruments.bench
+            )
             for _, own in trackers
         ),
         wind_speed_m_s=None,
         simulated=settings.instruments.bench,
         clock_synchronised=synchronised if isinstance(clock, SystemClock) else lambda: None,
-        clock_lasts=isinstance(clock, SystemClock),
+        has_persistent_clock=isinstance(clock, SystemClock),
     )

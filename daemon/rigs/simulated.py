@@ -202,7 +202,7 @@ def _build_tracker(
     """Return where a tracker's axes truly stand, and its instruments."""
     truth, positioner = build_simulated_positioner(settings, clock)
     load = _build_load(settings, clock, _build_source(clock, scene, truth, module), noise)
-    return truth, TrackerInstruments(positioner, load, begins_anew=True)
+    return truth, TrackerInstruments(positioner, load, has_fixed_start_pose=True)
 
 
 class _Module(PvSource):
@@ -343,7 +343,7 @@ async def run_bench(
     if settings.load.driver == "agilent6063b":
         load = LoadCore(source, noise, make="agilent6063b", now=now_s)
     else:
-        load = LoadCore(source, noise, channel=LOAD.rechosen(settings.load, "chroma63600").channel, now=now_s)
+        load = LoadCore(source, noise, channel=LOAD.with_driver(settings.load, "chroma63600").channel, now=now_s)
     bench = Bench(
         directory,
         scene,

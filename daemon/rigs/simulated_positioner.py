@@ -20,10 +20,10 @@ def build_unit(settings: Settings, clock: Clock) -> PositionerCore:
     """Return the simulated unit; `UserError` for a geometry that cannot be built."""
     speed = settings.simulation.motor_speed_mm_s
     setup = Setup(drive=AxisDrive(speed, acceleration_mm_s2=speed / _RAMP_S))
-    return PositionerCore(clock.monotonic(), as_built(settings, setup))
+    return PositionerCore(clock.monotonic(), configured_setup(settings, setup))
 
 
-def as_built(settings: Settings, setup: Setup) -> Setup:
+def configured_setup(settings: Settings, setup: Setup) -> Setup:
     """Return a setup with the mechanics of the settings; `UserError` for a geometry that cannot be built.
 
     The drive of `setup` counts in mm; the returned drive turns the axes as fast, in their own position units.
@@ -61,7 +61,7 @@ def _mechanics(settings: Settings, axis: AxisGeometry, usual: Actuator, limits_d
         low_deg=axis.low_deg,
         high_deg=high_deg,
         holder_mm=axis.holder_mm,
-        raises=raises,
+        extension_raises_angle=raises,
         zero_offset_mm=axis.zero_offset,
     )
 

@@ -6,7 +6,7 @@ from daemon.base.alarms.alarm import Alarm
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kinds import KINDS
 from daemon.base.clock import minute_utc
-from daemon.service.operator import Answer, CommandError, Seen
+from daemon.service.operator import Answer, CommandError, Effect
 
 
 def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | None, by: str, why: str) -> Answer:
@@ -43,9 +43,9 @@ def acknowledge(alarms: Mapping[str, Alarms], tracker: str | None, name: str | N
         acknowledged = own.acknowledge(by, name, why)
         sentences += [f"{of[owner]}{_outcome(before[owner][each])}" for each in acknowledged]
     if sentences:
-        return Answer(Seen.DONE, f"acknowledged: {'; '.join(sentences)}")
+        return Answer(Effect.DONE, f"acknowledged: {'; '.join(sentences)}")
     told = "; ".join(f"{of[owner]}{_acknowledged_before_text(alarm)}" for owner, alarm in seen)
-    return Answer(Seen.DONE, told or "there is nothing to acknowledge")
+    return Answer(Effect.DONE, told or "there is nothing to acknowledge")
 
 
 def _outcome(alarm: Alarm) -> str:

@@ -18,7 +18,7 @@ from pydantic import (
 ModeName = Literal["auto", "hold", "stow", "snow", "maintenance"]
 MODES: tuple[str, ...] = get_args(ModeName)
 
-NO_REASON = "an operator asked"
+DEFAULT_REASON = "an operator asked"
 
 _LONGEST_LINE = 200
 # What str.isprintable() lets pass: letters, marks, numbers, punctuation, symbols and the space of ASCII.
@@ -54,7 +54,7 @@ Line = Annotated[
     WithJsonSchema({"type": "string", "minLength": 1, "maxLength": _LONGEST_LINE, "pattern": _PRINTABLE}),
 ]
 # A stop is never refused for its words.
-Words = Annotated[str, BeforeValidator(_one_line), WithJsonSchema({})]
+LenientLine = Annotated[str, BeforeValidator(_one_line), WithJsonSchema({})]
 Degrees = Annotated[float, BeforeValidator(_degrees), WithJsonSchema({"type": "number"})]
 
 
@@ -66,12 +66,12 @@ class CommandBody(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
-    why: Words = Field(
-        NO_REASON,
+    why: LenientLine = Field(
+        DEFAULT_REASON,
         description=f"The reason, a text for the records: kept as one line, cut to {_LONGEST_LINE} letters; anything"
         " but text counts as left out.",
     )
-    by: Words = Field(
+    by: LenientLine = Field(
         default_factory=str,
         description="Who asks, kept in the same way; if left out or empty, the way over which the command came.",
     )
@@ -108,7 +108,7 @@ class AcknowledgeBody(CommandBody):
     alarm: Line = Field(default_factory=str, description="The alarm's name; if left out, all that are shown.")
 
 
-def body_of(name: str) -> type[CommandBody]:
+def body_model(name: str) -> type[CommandBody]:
     """Return the model of a command's body."""
     if name == "goto":
         return GotoBody
@@ -119,7 +119,7 @@ def body_of(name: str) -> type[CommandBody]:
     return ModeBody if name == "mode" else CommandBody
 
 
-def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> CommandBody:
+def validate_body(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> CommandBody:
     """Return the body of a command; raises `ValueError` with one sentence for one that is not understood.
 
     A stop is never refused for its body: keys that are not understood count as left out.
@@ -131,7 +131,7 @@ def check(name: str, found: dict[str, Any], more: tuple[str, ...] = ()) -> Comma
     more
         Further keys, each with a line of text, that commands may have on this way, such as ``time`` over a broker.
     """
-    model = body_of(name)
+    model = body_model(name)
     own = {key: value for key, value in found.items() if key not in more}
     wrong = {}
     try:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 from daemon.base.clock import Clock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.cube.acquisition import Acquisition
 from daemon.service.tracker import Tracker
 
@@ -24,7 +24,7 @@ _STUCK_AFTER_S = 30.0
 _MEASURE_EVERY_S = 0.1
 _WORST_OF_S = 60.0
 
-LATE_UP_TO_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0)
+LATENESS_BOUNDS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0)
 """Upper bounds of the counts of a `LoopState`, whose last count has no bound and includes all measurements."""
 
 
@@ -39,7 +39,7 @@ class LoopState:
     sum_s
         All delays added.
     counts
-        How many measurements were at most as late as each of `LATE_UP_TO_S`, and all of them.
+        How many measurements were at most as late as each of `LATENESS_BOUNDS_S`, and all of them.
     """
 
     worst_s: float
@@ -64,7 +64,7 @@ class LoopWatch:
         self._clock = clock
         self._speed = speed
         self._look = look
-        self._counts = [0] * (len(LATE_UP_TO_S) + 1)
+        self._counts = [0] * (len(LATENESS_BOUNDS_S) + 1)
         self._sum_s = 0.0
         self._worst_s = self._worst_before_s = 0.0
         self._minute_s = clock.monotonic()
@@ -87,7 +87,7 @@ class LoopWatch:
         now_s = self._clock.monotonic()
         if now_s - self._minute_s >= _WORST_OF_S * self._speed:
             self._worst_before_s, self._worst_s, self._minute_s = self._worst_s, 0.0, now_s
-        self._counts[bisect_left(LATE_UP_TO_S, late_s)] += 1
+        self._counts[bisect_left(LATENESS_BOUNDS_S, late_s)] += 1
         self._sum_s += late_s
         self._worst_s = max(self._worst_s, late_s)
 
@@ -110,7 +110,7 @@ class Watchdog:
     def __init__(
         self,
         clock: Clock,
-        notifier: Notifier,
+        notifier: SystemdNotifier,
         trackers: Sequence[Tracker],
         acquisition: Acquisition | None,
         speed: float,

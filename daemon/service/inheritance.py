@@ -20,7 +20,7 @@ from daemon.base.files import replace_file
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
 from daemon.motion import place, reference
 from daemon.received import today
-from daemon.store.place import is_claimed
+from daemon.store.place import is_folder_locked
 from daemon.tracker import budget, law_file, stow_watch, wishes
 from daemon.tracker.stow_watch import SafetyFile
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
@@ -31,7 +31,7 @@ STARTED_NAME = "started.json"
 """Name of the file that tells of the last start; every start writes it."""
 
 
-class Started(BaseModel):
+class LastStart(BaseModel):
     """Time of the last start [s of UTC], its version, and its number among all starts with this folder (0: unknown)."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", strict=True)
@@ -49,9 +49,9 @@ _LOOK = "look at the tracker, then 'heliocube auto'"
 _REMEDY = f"give that name back in a table [[tracker]] and restart, or {_LOOK}"
 
 
-def started_in(folder: StateFolder) -> StateFile[Started]:
+def last_start_file(folder: StateFolder) -> StateFile[LastStart]:
     """Return the file of a tracker's last start."""
-    return StateFile(folder, STARTED_NAME, Started, log, "what persons ask for, a storm and what is in doubt")
+    return StateFile(folder, STARTED_NAME, LastStart, log, "what persons ask for, a storm and what is in doubt")
 
 
 def last_start_utc_s(folder: StateFolder) -> float:
@@ -60,7 +60,7 @@ def last_start_utc_s(folder: StateFolder) -> float:
     return -math.inf if kept is None else kept.started_utc_s
 
 
-def next_number(directory: Path | None) -> int:
+def next_start_number(directory: Path | None) -> int:
     """Return the number of a new start, which is higher than any that is kept in a service's folder or below it."""
     paths = () if directory is None else (directory, *directory.glob("*/"))
     return 1 + max((_last_start_number(path) for path in paths), default=0)
@@ -72,14 +72,14 @@ def _last_start_number(folder: Path) -> int:
     return 0 if kept is None else kept.number
 
 
-def _last_start(folder: StateFolder) -> Started | None:
+def _last_start(folder: StateFolder) -> LastStart | None:
     try:
-        return started_in(folder).load()
+        return last_start_file(folder).load()
     except UnreadableStateError:
         return None
 
 
-def hand_on(directory: Path, trackers: Sequence[str]) -> None:
+def migrate_state_to_trackers(directory: Path, trackers: Sequence[str]) -> None:
     """Copy each kept file of a folder to the trackers that have no such file, and give the original another name.
 
     The place where the axes rest is handed on only to a single tracker: of several, nobody knows which one rested
@@ -110,10 +110,10 @@ def hand_on(directory: Path, trackers: Sequence[str]) -> None:
             log.warning("%s holds for %s from now on", before, ", ".join(heirs))
 
 
-def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | None:
+def orphaned_state_text(directory: Path, trackers: Sequence[str], own: Path) -> str | None:
     """Return what is in force in folders of trackers that are not in the configuration any more, in words, or None.
 
-    Call this before `hand_on`, which leaves nothing in the folder of a tracker without a name.
+    Call this before `migrate_state_to_trackers`, which leaves nothing in the folder of a tracker without a name.
 
     Parameters
     ----------
@@ -128,10 +128,10 @@ def left_behind(directory: Path, trackers: Sequence[str], own: Path) -> str | No
     found = []
     for folder in sorted({path.parent for name in _FILES_IN_FORCE for path in directory.glob(f"*/{name}")}):
         # A folder here may be that of another service which is at work in it.
-        if folder.name not in trackers and _is_newer(folder, own) and not is_claimed(folder, "tracker"):
+        if folder.name not in trackers and _is_newer(folder, own) and not is_folder_locked(folder, "tracker"):
             found += _texts_in_force(folder, f"'{folder.name}'")
     told = [f"a tracker is no longer in the configuration, but {'; '.join(found)}: {_REMEDY}"] if found else []
-    # Only files that both have: where the tracker has none, `hand_on` gives it a copy.
+    # Only files that both have: where the tracker has none, `migrate_state_to_trackers` gives it a copy.
     both = [name for name in _FILES_IN_FORCE if trackers and (directory / name).exists() and (own / name).exists()]
     if both and _is_newer(directory, own) and (found := _texts_in_force(directory, "it", both)):
         told.append(f"a tracker without a table [[tracker]] has been started since, and {'; '.join(found)}: {_LOOK}")
@@ -161,6 +161,6 @@ def _texts_in_force(folder: Path, called: str, names: Sequence[str] = _FILES_IN_
     storm = SafetyFile(state).load() if stow_watch.FILE_NAME in names else None
     doubts = reference.kept_doubts(state) if reference.FILE_NAME in names else ()
     return [
-        *(f"in {folder} {called} is still {text}" for text in asked.gone_in(Wishes())),
+        *(f"in {folder} {called} is still {text}" for text in asked.describe_ended(Wishes())),
         *(f"{folder} keeps for {called}: {text}" for text in (*((storm.text,) if storm else ()), *doubts)),
     ]

@@ -48,7 +48,7 @@ class CommandError(Exception):
         self.wrong = wrong
 
 
-class Seen(StrEnum):
+class Effect(StrEnum):
     """What the telemetry has shown of a command's effect before the answer."""
 
     DONE = "done"
@@ -68,13 +68,13 @@ class Answer:
         What the tracker did, in a sentence; for several trackers at once a line each, failures first.
     """
 
-    seen: Seen
+    seen: Effect
     text: str
 
     @property
     def done(self) -> bool:
         """Whether the telemetry has shown the whole effect."""
-        return self.seen is Seen.DONE
+        return self.seen is Effect.DONE
 
 
 class Operator:
@@ -107,7 +107,7 @@ class Operator:
             before = control.wishes
             if control.join_stop(why, by):
                 self._note("stop", why, by)
-            seen = await self._wait_until_seen(lambda: Seen.DONE if _is_standing(motion, now_s) else None)
+            seen = await self._wait_until_seen(lambda: Effect.DONE if _is_standing(motion, now_s) else None)
             return await self._answer(seen, self._describe_tracker(), before)
         return await self._stop_and_answer("stop", control.stop(why, by), motion.target, why, by)
 
@@ -115,7 +115,7 @@ class Operator:
         """Stop the axes, keep them still and the alarms silent until 'auto'."""
         control, motion = self._control, self._motion
         with _as_command_errors():
-            control.refuse_while_still("maintenance")
+            control.refuse_if_stopped("maintenance")
         return await self._stop_and_answer("maintenance", control.maintenance(why, by), motion.target, why, by)
 
     async def _stop_and_answer(
@@ -135,10 +135,10 @@ class Operator:
         if lost is not None:
             noted = "" if name == "stop" else f"{name} is noted, but "
             unsent = f"{noted}stop could not be sent, and is sent as soon as the positioner answers: {lost}"
-            raise CommandError(f"{unsent}{before.told_beside(control.wishes, unsent)}{await self._unsaved_clause()}")
-        seen = await self._wait_until_seen(lambda: Seen.DONE if _is_standing(motion, asked_s) else None)
+            raise CommandError(f"{unsent}{before.replaced_note(control.wishes, unsent)}{await self._unsaved_clause()}")
+        seen = await self._wait_until_seen(lambda: Effect.DONE if _is_standing(motion, asked_s) else None)
         way = ""
-        if seen is Seen.DONE and heading is not None:
+        if seen is Effect.DONE and heading is not None:
             way = f"stopped on the way to A {heading.a_deg:+z.1f}, B {heading.b_deg:z.1f} deg; "
         return await self._answer(seen, f"{way}{self._describe_tracker()}", before)
 
@@ -146,7 +146,7 @@ class Operator:
         """Go to the stow position and stay; a move to anywhere else is stopped first, before anything else."""
         control, motion = self._control, self._motion
         with _as_command_errors():
-            control.refuse_while_still("stow")
+            control.refuse_if_stopped("stow")
         if motion.moving and control.mode is not Mode.STOW:
             await _try_to_stop(motion)
         safety, before = self._tracker.settings.safety, control.wishes
@@ -176,14 +176,14 @@ class Operator:
             control.hold(why, by)
         self._note("hold", why, by)
         control.tick()
-        if control.mode is not Mode.STOW and not motion.goes_home:
+        if control.mode is not Mode.STOW and not motion.is_homing_or_queued:
             # Even a tracker at rest is polled once more. A stow or a reference run goes before a hold.
-            motion.rest()
+            motion.request_stop()
 
-        def seen() -> Seen | None:
+        def seen() -> Effect | None:
             if motion.homing:
-                return Seen.UNDER_WAY
-            return Seen.DONE if control.mode is Mode.HOLD and _is_standing(motion, asked_s) else None
+                return Effect.UNDER_WAY
+            return Effect.DONE if control.mode is Mode.HOLD and _is_standing(motion, asked_s) else None
 
         return await self._answer(await self._wait_until_seen(seen), self._describe_tracker(), before)
 
@@ -192,8 +192,8 @@ class Operator:
         control, motion = self._control, self._motion
         before = control.wishes
         with _as_command_errors():
-            control.refuse_goto(a_deg, b_deg)
-            if motion.goes_home:
+            control.check_goto(a_deg, b_deg)
+            if motion.is_homing_or_queued:
                 raise CommandError(
                     "the tracker is on a reference run and takes no target until it has ended; 'heliocube stop' ends it"
                 )
@@ -215,23 +215,23 @@ class Operator:
         control.auto()
         self._note("auto", why, by)
         control.tick()
-        ended = "; ".join(before.gone_in(control.wishes))
-        return await self._answer(Seen.DONE, f"{self._describe_tracker()}{f'; released: {ended}' if ended else ''}")
+        ended = "; ".join(before.describe_ended(control.wishes))
+        return await self._answer(Effect.DONE, f"{self._describe_tracker()}{f'; released: {ended}' if ended else ''}")
 
     async def home(self, why: str, by: str = "") -> Answer:
         """Start a reference run of both axes."""
         control, motion = self._control, self._motion
         with _as_command_errors():
-            control.refuse_home()
+            control.check_home()
             self._require_telemetry("homed")
             control.home()
         asked_s, begin = self._clock.monotonic(), motion.pose
         self._note("home", why, by)
 
-        def seen() -> Seen | None:
+        def seen() -> Effect | None:
             nonlocal begin
             if motion.last_homed_started_s >= asked_s:
-                return Seen.DONE
+                return Effect.DONE
             telemetry, pose = motion.telemetry, motion.pose
             if not motion.homing or telemetry is None or pose is None or telemetry.time_monotonic_s < asked_s:
                 # A move that is on is stopped before the run begins.
@@ -239,7 +239,7 @@ class Operator:
                 return None
             # An axis that stands at its end switch first leaves it, which the unit calls a move.
             moves = begin is not None and _largest_axis_offset_deg(pose, begin) >= _NEARER_DEG
-            return Seen.UNDER_WAY if telemetry.homing or moves else None
+            return Effect.UNDER_WAY if telemetry.homing or moves else None
 
         return Answer(await self._wait_until_seen(seen, _WAIT_FOR_STATUS_S), self._describe_tracker())
 
@@ -250,33 +250,33 @@ class Operator:
         """
         control, motion = self._control, self._motion
         with _as_command_errors():
-            control.refuse_while_still("clear")
+            control.refuse_if_stopped("clear")
             self._require_telemetry("cleared of faults")
             shown, asked_s = control.clear_faults(), self._clock.monotonic()
         self._note("clear faults", why, by)
         self._tracker.alarms.acknowledge(by or "clear", why="clear", latched=True)
 
-        def seen() -> Seen | None:
+        def seen() -> Effect | None:
             looked = motion.telemetry is not None and motion.telemetry.time_monotonic_s >= asked_s
-            return Seen.DONE if looked and not set(shown) & set(motion.concerns) else None
+            return Effect.DONE if looked and not set(shown) & set(motion.concerns) else None
 
         found = await self._wait_until_seen(seen, _WAIT_FOR_STATUS_S)
         control.tick()
         forgiven = f"forgiven: {'; '.join(shown)}" if shown else "nothing was shown that could be cleared"
-        return Answer(found, f"{forgiven if found is Seen.DONE else 'not cleared yet'}; {self._describe_tracker()}")
+        return Answer(found, f"{forgiven if found is Effect.DONE else 'not cleared yet'}; {self._describe_tracker()}")
 
     async def relearn(self, why: str, by: str = "") -> Answer:
         """Forget what the law has learned of the site."""
         control, shadow = self._control, self._tracker.shadow
         with _as_command_errors():
-            control.refuse_while_still("relearn")
+            control.refuse_if_stopped("relearn")
         if control.pointing.law.learned is None and (shadow is None or shadow.albedo is None):
             raise CommandError(f"there is nothing to forget: the law {control.pointing.chosen.name} learns nothing")
         self._note("relearn", why, by)
         control.pointing.relearn()
         if shadow is not None:
             shadow.relearn()
-        return Answer(Seen.DONE, "the law has forgotten the site and learns it again")
+        return Answer(Effect.DONE, "the law has forgotten the site and learns it again")
 
     def _note(self, command: str, why: str, by: str) -> None:
         text, now_s = f"{command}: {why}{f' ({by})' if by else ''}", self._clock.monotonic()
@@ -295,25 +295,25 @@ class Operator:
         found = await self._wait_until_seen(approach.seen, _WAIT_FOR_MOTION_S)
         return await self._answer(found, self._describe_tracker(), before)
 
-    async def _answer(self, seen: Seen, text: str, before: Wishes | None = None) -> Answer:
+    async def _answer(self, seen: Effect, text: str, before: Wishes | None = None) -> Answer:
         """Return what came of a command that changes what is kept, and whether a restart would forget it."""
-        beside = "" if before is None else before.told_beside(self._control.wishes, text)
+        beside = "" if before is None else before.replaced_note(self._control.wishes, text)
         return Answer(seen, f"{text}{beside}{await self._unsaved_clause()}")
 
     async def _unsaved_clause(self) -> str:
         """Give the disk a moment, and return what it has not taken by then, as the end of an answer."""
         folder = self._tracker.folder
-        await self._wait_until_seen(lambda: None if folder.at_work else Seen.DONE, _WAIT_FOR_DISK_S)
-        if self._tracker.forgets is not None:
-            return f"; not kept: {self._tracker.forgets}"
+        await self._wait_until_seen(lambda: None if folder.is_writing else Effect.DONE, _WAIT_FOR_DISK_S)
+        if self._tracker.unsaved_state_text is not None:
+            return f"; not kept: {self._tracker.unsaved_state_text}"
         return "" if folder.unsaved is None else f"; not kept yet: {folder.unsaved}"
 
-    async def _wait_until_seen(self, seen: Callable[[], Seen | None], within_s: float = _WAIT_S) -> Seen:
+    async def _wait_until_seen(self, seen: Callable[[], Effect | None], within_s: float = _WAIT_S) -> Effect:
         clock = self._clock
         deadline_s = clock.monotonic() + within_s * self._speed
         while (found := seen()) is None:
             if clock.monotonic() >= deadline_s:
-                return Seen.NOT_SEEN
+                return Effect.NOT_SEEN
             await asyncio.sleep(_LOOK_EVERY_S * self._speed)
         return found
 
@@ -340,18 +340,18 @@ class _Approach:
         self._tolerance_deg = tolerance_deg
         self._farthest_deg = self._distance_deg()
 
-    def seen(self) -> Seen | None:
+    def seen(self) -> Effect | None:
         """Return what the latest telemetry shows, or None for nothing yet."""
         motion = self._motion
         if motion.pose is None or not motion.connected:
             return None
         if motion.target is None:
             near = not motion.homing and _largest_axis_offset_deg(motion.pose, self._place) <= self._tolerance_deg
-            return Seen.DONE if near and motion.stands_since_s is not None else None
+            return Effect.DONE if near and motion.stands_since_s is not None else None
         distance_deg = self._distance_deg()
         self._farthest_deg = max(self._farthest_deg, distance_deg)
         heads = (motion.target.a_deg, motion.target.b_deg) == (self._place.a_deg, self._place.b_deg)
-        return Seen.UNDER_WAY if heads and distance_deg <= self._farthest_deg - _NEARER_DEG else None
+        return Effect.UNDER_WAY if heads and distance_deg <= self._farthest_deg - _NEARER_DEG else None
 
     def _distance_deg(self) -> float:
         pose, place = self._motion.pose, self._place

@@ -12,17 +12,17 @@ from datetime import datetime
 from typing import Any, NoReturn
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.alarms.kinds import as_typed
-from daemon.base.json_names import NameTwiceError, once_each
-from daemon.base.process import TRACKER
+from daemon.base.alarms.kinds import with_tracker_option
+from daemon.base.json_names import DuplicateNameError, reject_duplicate_names
+from daemon.base.process import CURRENT_TRACKER
 from daemon.base.recurrence import RateLimit
 from daemon.service.acknowledge import acknowledge
-from daemon.service.command_bodies import NO_REASON, AcknowledgeBody, AutoBody, GotoBody, ModeBody, check
-from daemon.service.operator import Answer, CommandError, Operator, Seen
+from daemon.service.command_bodies import DEFAULT_REASON, AcknowledgeBody, AutoBody, GotoBody, ModeBody, validate_body
+from daemon.service.operator import Answer, CommandError, Effect, Operator
 from daemon.service.tracker import Tracker
 from daemon.tracker.wishes import Wishes
 
-NAMES = (
+COMMAND_NAMES = (
     "stow",
     "snow",
     "hold",
@@ -42,7 +42,7 @@ LONGEST_BODY = 4096
 # Only over MQTT may a command arrive late, and so tell its time: over HTTP it lasts no longer than its connection.
 _LINES_OF = {"MQTT": ("time",)}
 # What may be asked of all trackers at once: nobody in a hurry has to remember names.
-OF_ALL = ("stop", "stow")
+COMMANDS_FOR_ALL = ("stop", "stow")
 # How many commands one way may give at once, and then how many a second. A stop is never refused.
 _AT_ONCE = 20
 _PER_S, _URGENT_PER_S = 2.0, 5.0
@@ -67,9 +67,9 @@ class Command:
     ----------
     name
         As it was given.
-    wanted
+    action
         What is to be done: for ``mode`` the mode, else the name.
-    way
+    channel
         Over which it came, such as ``HTTP``.
     why, by
         The reason, and who asks.
@@ -88,8 +88,8 @@ class Command:
     """
 
     name: str
-    wanted: str
-    way: str
+    action: str
+    channel: str
     why: str
     by: str
     identifier: str | None
@@ -100,13 +100,13 @@ class Command:
     alarm: str | None = None
     shown: dict[str, str | None] | None = None
 
-    def meant_for(self, trackers: Sequence[str]) -> "Command":
+    def with_tracker(self, trackers: Sequence[str]) -> "Command":
         """Return the command for the tracker that a query names, if any; `CommandError` if another is named besides.
 
         A stop is for all trackers then, as nobody can tell which was meant.
         """
         named = list(dict.fromkeys([*filter(None, (self.tracker,)), *trackers]))
-        if self.wanted == "stop":
+        if self.action == "stop":
             named = [name for name in named if name]
             return replace(self, tracker=named[0] if len(named) == 1 else None)
         if len(named) > 1:
@@ -116,17 +116,17 @@ class Command:
 
     async def carry_out(self, operator: Operator) -> Answer:
         """Return what one tracker did; raises `CommandError` where the command is refused."""
-        if self.wanted == "goto":
+        if self.action == "goto":
             return await operator.goto(self.a_deg, self.b_deg, self.why, self.by)
-        if self.wanted == "auto":
+        if self.action == "auto":
             return await operator.auto(self.why, self.by, self._later_wish_text)
-        answer: Answer = await getattr(operator, self.wanted)(self.why, self.by)
+        answer: Answer = await getattr(operator, self.action)(self.why, self.by)
         return answer
 
     def _later_wish_text(self, wishes: Wishes) -> str | None:
         """Return in words a wish that came after this command was given, or that its giver was not shown; or None."""
-        later = None if self.time_utc_s is None else wishes.later_than(self.time_utc_s)
-        return later or (None if self.shown is None else wishes.not_in(self.shown))
+        later = None if self.time_utc_s is None else wishes.describe_newer_than(self.time_utc_s)
+        return later or (None if self.shown is None else wishes.describe_unshown(self.shown))
 
 
 class Operators:
@@ -166,7 +166,7 @@ class Operators:
         Raises `TooManyError` beyond twenty commands at once and then two a second (five if urgent), counted for each
         way on its own; a stop always passes.
         """
-        if command.wanted == "acknowledge":
+        if command.action == "acknowledge":
             self._refuse_too_many(command)
             answer = acknowledge(self._alarms, command.tracker, command.alarm, command.by, command.why)
             return answer_json(command.name, command.identifier, answer)
@@ -181,7 +181,7 @@ class Operators:
             command.name, command.identifier, await self._carry_out_by_each(self._own_operators, command)
         )
 
-    def stopped_already(self, command: Command) -> dict[str, Any] | None:
+    def answer_if_stopped(self, command: Command) -> dict[str, Any] | None:
         """Return the answer to a stop for trackers that are all stopped already; None where one is not.
 
         Raises `CommandError` as `carry_out` does.
@@ -197,11 +197,11 @@ class Operators:
             )
         stopped = f"the tracker is {stops[0]}" if len(stops) == 1 else f"all {len(stops)} trackers are stopped"
         text = f"{stopped}; so many stops wait for their answers that this one does not wait for telemetry"
-        return answer_json(command.name, command.identifier, Answer(Seen.NOT_SEEN, text))
+        return answer_json(command.name, command.identifier, Answer(Effect.NOT_SEEN, text))
 
     def _is_stop_for_unknown_tracker(self, command: Command) -> bool:
         return (
-            command.wanted == "stop"
+            command.action == "stop"
             and bool(self._own_operators)
             and command.tracker not in (None, *self._own_operators)
         )
@@ -211,11 +211,11 @@ class Operators:
             raise CommandError("this process reads the cube and has no tracker: ask the tracker's process")
         names = ", ".join(self._own_operators)
         if command.tracker is None:
-            if len(self._own_operators) == 1 or command.wanted in OF_ALL:
+            if len(self._own_operators) == 1 or command.action in COMMANDS_FOR_ALL:
                 return self._own_operators
-            how = as_typed(f"heliocube {command.wanted}", "NAME")
+            how = with_tracker_option(f"heliocube {command.action}", "NAME")
             raise CommandError(
-                f"'{command.wanted}' needs the name of a tracker: '{how}', where NAME is one of {names}", wrong=True
+                f"'{command.action}' needs the name of a tracker: '{how}', where NAME is one of {names}", wrong=True
             )
         if command.tracker not in self._own_operators:
             raise CommandError(self._unknown_tracker_text(command), wrong=True)
@@ -236,13 +236,15 @@ class Operators:
         raise CommandError(f"{self._unknown_tracker_text(command)}; so the stop is for all: {found}", wrong=True)
 
     def _refuse_too_many(self, command: Command) -> None:
-        if command.wanted == "stop" or self._clock is None:
+        if command.action == "stop" or self._clock is None:
             return
-        urgent = command.wanted in URGENT
+        urgent = command.action in URGENT
         per_s = _URGENT_PER_S if urgent else _PER_S
-        limit = self._limits.setdefault((command.way, urgent), RateLimit(per_s / self._speed, _AT_ONCE))
+        limit = self._limits.setdefault((command.channel, urgent), RateLimit(per_s / self._speed, _AT_ONCE))
         if not limit.admit(self._clock.monotonic()):
-            raise TooManyError(f"more than {per_s:g} commands a second came over {command.way}; ask again in a second")
+            raise TooManyError(
+                f"more than {per_s:g} commands a second came over {command.channel}; ask again in a second"
+            )
 
     async def _carry_out_by_each(self, chosen: Mapping[str, Operator], command: Command) -> Answer:
         """Return what several trackers did at once; a refusal by one does not keep the others from doing it."""
@@ -255,27 +257,27 @@ class Operators:
         by_name = dict(zip(chosen, outcomes, strict=True))
         refusing = [name for name, found in by_name.items() if not isinstance(found, Answer)]
         seen = {name: found.seen for name, found in by_name.items() if isinstance(found, Answer)}
-        unseen = [name for name in seen if seen[name] is Seen.NOT_SEEN]
+        unseen = [name for name in seen if seen[name] is Effect.NOT_SEEN]
         lines = _line_per_tracker(by_name, [*refusing, *unseen])
         if len(refusing) == len(by_name):
             raise CommandError(f"NOT done by any of {len(by_name)} trackers:{lines}")
         if refusing:
             raise CommandError(f"NOT done by {len(refusing)} of {len(by_name)} trackers, {', '.join(refusing)}:{lines}")
-        worst = next(each for each in (Seen.NOT_SEEN, Seen.UNDER_WAY, Seen.DONE) if each in seen.values())
+        worst = next(each for each in (Effect.NOT_SEEN, Effect.UNDER_WAY, Effect.DONE) if each in seen.values())
         but = f", no effect seen yet at {', '.join(unseen)}" if unseen else ""
         return Answer(worst, f"all {len(by_name)} trackers{but}:{lines}")
 
 
 async def _carry_out_by(operator: Operator, command: Command) -> Answer:
     """Let an operator carry out a command; log lines, and commands named in the answer, bear its tracker's name."""
-    before, tracker = TRACKER.set(operator.log_name), operator.log_name or None
+    before, tracker = CURRENT_TRACKER.set(operator.log_name), operator.log_name or None
     try:
         answer = await command.carry_out(operator)
-        return replace(answer, text=as_typed(answer.text, tracker))
+        return replace(answer, text=with_tracker_option(answer.text, tracker))
     except CommandError as error:
-        raise CommandError(as_typed(str(error), tracker), wrong=error.wrong) from error
+        raise CommandError(with_tracker_option(str(error), tracker), wrong=error.wrong) from error
     finally:
-        TRACKER.reset(before)
+        CURRENT_TRACKER.reset(before)
 
 
 def _line_per_tracker(by_name: Mapping[str, Answer | BaseException], first: Sequence[str]) -> str:
@@ -319,7 +321,7 @@ def parse(name: str, content: bytes, way: str) -> Command:
     Parameters
     ----------
     name
-        One of `NAMES`.
+        One of `COMMAND_NAMES`.
     content
         Empty, or a JSON object; for ``mode`` also the bare name of one; for ``stop`` anything.
     way
@@ -339,15 +341,15 @@ def parse(name: str, content: bytes, way: str) -> Command:
         found = {}
     more = _LINES_OF.get(way, ())
     try:
-        body = check(name, found, more)
+        body = validate_body(name, found, more)
     except ValueError as error:
         raise BodyError(str(error)) from None
     place = (body.a_deg, body.b_deg) if isinstance(body, GotoBody) else (math.nan, math.nan)
     return Command(
         name=name,
-        wanted=body.mode if isinstance(body, ModeBody) else name,
-        way=way,
-        why=body.why or NO_REASON,
+        action=body.mode if isinstance(body, ModeBody) else name,
+        channel=way,
+        why=body.why or DEFAULT_REASON,
         by=body.by or way,
         identifier=body.id or None,
         time_utc_s=_utc_s(found["time"]) if "time" in found and name != "stop" else None,
@@ -368,7 +370,7 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
         return {"mode": content.decode("ascii", "replace")}
     try:
         found = json.loads(content, object_pairs_hook=_object_with_escaped_names)
-    except NameTwiceError as error:
+    except DuplicateNameError as error:
         raise BodyError(f"the body has {error.name} twice") from None
     except (ValueError, RecursionError):
         raise BodyError("the body is not JSON") from None
@@ -379,7 +381,7 @@ def _object(name: str, content: bytes) -> dict[str, Any]:
 
 def _object_with_escaped_names(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     # Half a letter (a lone surrogate) has no encoding: escape it, so that no check meets one.
-    return once_each([(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs])
+    return reject_duplicate_names([(name.encode("utf-8", "backslashreplace").decode(), value) for name, value in pairs])
 
 
 def _utc_s(text: str) -> float:

@@ -17,7 +17,7 @@ class News:
     text: str
 
 
-class Recent:
+class RecentRecords:
     """Keeps the latest records in memory, and counts by tracker; `note` is its subscription to the bus.
 
     Parameters

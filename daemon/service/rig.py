@@ -14,7 +14,7 @@ class Role(StrEnum):
     TRACKER = "tracker"
     BOTH = "both"
 
-    def known_as(self, name: str | None) -> str:
+    def name_or_default(self, name: str | None) -> str:
         """Return the name of the only tracker, or of the cube in a process without one; `name` is that of [mqtt]."""
         return name or (Role.CUBE if self is Role.CUBE else Role.TRACKER).value
 
@@ -29,14 +29,14 @@ class TrackerInstruments:
         Its drive.
     load
         The electronic load on its module, or None.
-    begins_anew
+    has_fixed_start_pose
         The positioner is a simulated one that begins at one and the same place whenever it is started: its earlier
         place of rest tells nothing.
     """
 
     positioner: Positioner
     load: ElectronicLoad | None = None
-    begins_anew: bool = False
+    has_fixed_start_pose: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Rig:
         One line about the simulated sky for displays, or None.
     clock_synchronised
         Whether anything has synchronised the machine's clock; None where that is not known or there is no such clock.
-    clock_lasts
+    has_persistent_clock
         Whether the clock goes on while no service runs; a simulated clock does not.
     """
 
@@ -67,4 +67,4 @@ class Rig:
     simulated: bool
     sky_text: Callable[[], str] | None = None
     clock_synchronised: Callable[[], bool | None] = lambda: None
-    clock_lasts: bool = False
+    has_persistent_clock: bool = False

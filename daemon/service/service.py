@@ -14,7 +14,7 @@ from daemon.base.alarms.kept import CUBE_FILE_NAME, AlarmFile
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus, Event, Scan
 from daemon.base.sleeps import SleepWatch
 from daemon.base.state import StateFolder
@@ -24,14 +24,14 @@ from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
 from daemon.cube.face_watch import FaceWatch
-from daemon.cube.told_faces import ToldFaces, UnreadFaces
+from daemon.cube.told_faces import RemoteFaceAlarm, UnreadFaceAlarm
 from daemon.motion.polling import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
-from daemon.service.inheritance import hand_on, left_behind, next_number
+from daemon.service.inheritance import migrate_state_to_trackers, next_start_number, orphaned_state_text
 from daemon.service.rig import Rig, Role
 from daemon.service.tracker import Tracker
 from daemon.tracker.phase import Phase
-from daemon.tracker.readings import Common
+from daemon.tracker.readings import SharedCache
 from daemon.tracker.stow import StowSource
 from drivers.errors import DriverHungError
 from solar.ephemeris import SunElevation
@@ -81,7 +81,7 @@ class Service:
         random: Random,
         bus: Bus,
         key: bytes | None,
-        notifier: Notifier,
+        notifier: SystemdNotifier,
         speed: float = 1.0,
         calibration: CubeCalibration | None = None,
         polling: Polling = OFTEN,
@@ -97,8 +97,8 @@ class Service:
         self.bus = bus
         self._folder = kept_in(settings.store.directory)
         self.cube_alarms = Alarms(clock, bus.publish, file=AlarmFile(self._folder, CUBE_FILE_NAME))
-        self._told_faces = ToldFaces(self.cube_alarms, clock)
-        self._unread_faces = UnreadFaces(self.cube_alarms, clock)
+        self._remote_face_alarm = RemoteFaceAlarm(self.cube_alarms, clock)
+        self._unread_faces = UnreadFaceAlarm(self.cube_alarms, clock)
         self._is_open = False
         self._random = random
         self._make_state_folder = kept_in
@@ -149,12 +149,12 @@ class Service:
     def _build_trackers(
         self, random: Random, polling: Polling, stow_sources: Mapping[str, Sequence[StowSource]]
     ) -> Iterator[Tracker]:
-        wanted, common, directory = self.settings.trackers, Common(), self.settings.store.directory
+        wanted, common, directory = self.settings.trackers, SharedCache(), self.settings.store.directory
         tables, folders = [table.name for table in self.settings.tracker], [own.store.directory for _, own in wanted]
-        lefts = [left_behind(directory, tables, own) if directory and own else None for own in folders]
-        number = next_number(directory)
+        lefts = [orphaned_state_text(directory, tables, own) if directory and own else None for own in folders]
+        number = next_start_number(directory)
         if tables and directory is not None:
-            hand_on(directory, tables)
+            migrate_state_to_trackers(directory, tables)
         if len(wanted) != len(self.rig.trackers):
             raise ValueError(f"{len(wanted)} trackers are configured and {len(self.rig.trackers)} are on the rig")
         for place, ((name, settings), instruments) in enumerate(zip(wanted, self.rig.trackers, strict=True)):
@@ -182,7 +182,7 @@ class Service:
             yield tracker
 
     @property
-    def all_is_kept(self) -> bool:
+    def is_everything_saved(self) -> bool:
         """Whether a restart now would forget nothing that was asked of any tracker."""
         return all(tracker.folder.unsaved is None for tracker in self.trackers)
 
@@ -196,7 +196,7 @@ class Service:
 
     def _why_unheard(self) -> str:
         """Return why the bridge hears nothing, or what it has refused since the last scan, in words."""
-        return "" if self.receiver is None else self.receiver.deaf_why or self.receiver.refused_since_accepted
+        return "" if self.receiver is None else self.receiver.down_why or self.receiver.refused_since_accepted
 
     def _mute_cube(self) -> None:
         """Keep the cube's alarms silent while all trackers are muted: nobody is left who would want to hear them."""
@@ -209,7 +209,7 @@ class Service:
         for tracker in self.trackers:
             tracker.receive(scan, utc_s)
         if self.role is Role.TRACKER:
-            self._told_faces.note(scan)
+            self._remote_face_alarm.note(scan)
         self._unread_faces.note(scan)
         self.bus.publish(scan)
 
@@ -296,7 +296,7 @@ class Service:
         self._expiry.check(scan.time_utc_s, scan.time_monotonic_s)
         if self.sender is not None:
             self.sender.send(scan)
-        if self.receiver is not None and self.receiver.deaf_why is not None:
+        if self.receiver is not None and self.receiver.down_why is not None:
             # A scan that stays in this process needs no address of the network.
             self.receiver.take_own(pack(scan, self._key))
         if self._send_beyond is not None:
@@ -308,7 +308,7 @@ class Service:
         work: list[tuple[str, Awaitable[None]]] = [("watchdog", self._watchdog.run())]
         for tracker in self.trackers:
             of = f" of {tracker.name}" if len(self.trackers) > 1 else ""
-            work += [(f"{name}{of}", part) for name, part in tracker.work()]
+            work += [(f"{name}{of}", part) for name, part in tracker.named_coroutines()]
         if self.acquisition is not None:
             work.append(("acquisition", self.acquisition.run()))
         work += [(getattr(companion, "__name__", "companion"), companion) for companion in companions]

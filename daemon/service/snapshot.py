@@ -18,14 +18,14 @@ from daemon.received.shadow import ShadowState, Travel
 from daemon.received.today import Insolation
 from daemon.service.health import LoopState
 from daemon.service.mode_times import ModesOfDay
-from daemon.service.recent import News, Recent
+from daemon.service.recent import News, RecentRecords
 from daemon.service.service import Service
 from daemon.service.status import LinkStatus
 from daemon.service.tracker import Tracker
 from daemon.store.store import StoreStatus
 from daemon.tracker.control import ControlState
 from daemon.tracker.curves import IvAcquisition
-from daemon.tracker.pointing import Foresight
+from daemon.tracker.pointing import DecisionPreview
 from daemon.tracker.stow import StowStatus
 from daemon.tracker.wishes import Wishes
 from drivers.interfaces import PositionerIdentity, Telemetry
@@ -85,7 +85,7 @@ class TrackerState:
 
     Attributes
     ----------
-    typed_for
+    name_in_commands
         Its name where commands need one, because the process has other trackers; None for the only tracker.
     control
         Mode, reason, decision and means.
@@ -119,9 +119,9 @@ class TrackerState:
     """
 
     name: str
-    typed_for: str | None
+    name_in_commands: str | None
     control: ControlState
-    next: Foresight | None
+    next: DecisionPreview | None
     silent_s: float
     law: str
     law_shown: Mapping[str, Any]
@@ -250,7 +250,7 @@ class Snapshot:
 
 def snapshot(
     service: Service,
-    recent: Recent,
+    recent: RecentRecords,
     speed: float,
     store: StoreStatus | None,
     links: Mapping[str, LinkStatus],
@@ -301,7 +301,7 @@ def snapshot(
             _tracker(each, recent, sleeps, glance=glance) for each in service.trackers if tracker in (None, each.name)
         ),
         bridge=None if service.receiver is None else service.receiver.statistics,
-        bridge_down_why=None if service.receiver is None else service.receiver.deaf_why,
+        bridge_down_why=None if service.receiver is None else service.receiver.down_why,
         store=store,
         links={name: _link(link, now_s, sleeps) for name, link in links.items()},
         news=tuple(recent.news),
@@ -325,10 +325,10 @@ def _link(link: LinkStatus, now_s: float, sleeps: tuple[Sleep, ...]) -> LinkStat
     return replace(link, inputs=tuple(inputs))
 
 
-def _tracker(tracker: Tracker, recent: Recent, sleeps: tuple[Sleep, ...], *, glance: bool) -> TrackerState:
+def _tracker(tracker: Tracker, recent: RecentRecords, sleeps: tuple[Sleep, ...], *, glance: bool) -> TrackerState:
     control, now_s = tracker.control, tracker.clock.monotonic()
     budget, shadow = control.budget, None if tracker.shadow is None or glance else tracker.shadow.state
-    received, day = tracker.received.counted if glance else tracker.received.today, budget.used.day
+    received, day = tracker.received.today_without_pending if glance else tracker.received.today, budget.used.day
     # A count ends with the first scan of the next day, and that may come late: show none of yesterday's until then.
     if received.day != day:
         received = Insolation(day=day)
@@ -337,9 +337,9 @@ def _tracker(tracker: Tracker, recent: Recent, sleeps: tuple[Sleep, ...], *, gla
     positioner = _positioner(tracker.motion, now_s, sleeps)
     return TrackerState(
         name=tracker.name,
-        typed_for=tracker.log_name or None,
+        name_in_commands=tracker.log_name or None,
         control=control.state,
-        next=None if glance else control.foresee(),
+        next=None if glance else control.preview_decision(),
         silent_s=now_s - control.last_tick_s,
         law=tracker.settings.law.driver,
         law_shown={} if glance else control.pointing.law.shown(),
@@ -379,7 +379,7 @@ def _positioner(motion: Motion, now_s: float, sleeps: tuple[Sleep, ...]) -> Posi
         blocked_why=motion.blocked,
         doubt_why=motion.doubt,
         concerns=motion.concerns,
-        unexplained_why=motion.unexplained,
+        unexplained_why=motion.unexplained_motion,
         last_move=motion.last_move,
     )
 

@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import Any
 
 from daemon.base.alarms.alarm import Alarm
-from daemon.base.alarms.kinds import as_typed
+from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.clock import iso_utc
 from daemon.base.records import FACES, Mode, Record
 from daemon.cube.calibration import CubeCalibration
@@ -18,7 +18,7 @@ from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from daemon.store.tables import COLUMNS, with_irradiances
 from daemon.tracker.control import ControlState
-from daemon.tracker.pointing import Foresight
+from daemon.tracker.pointing import DecisionPreview
 from daemon.tracker.wishes import Wish, Wishes
 from solar.frames import Limits
 
@@ -64,11 +64,11 @@ def record_json(record: Record) -> dict[str, Any]:
     for column in COLUMNS[type(record)][1]:
         value = attrgetter(column.path)(whole)
         if column.name != "time_monotonic_s":
-            found[column.name] = iso_utc(value) if column.holds == "time" else number(value)
+            found[column.name] = iso_utc(value) if column.holds == "time" else finite_or_none(value)
     return found
 
 
-def number(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """Return None for a float that is not finite, and anything else as it is."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
@@ -91,7 +91,7 @@ def tracker_state_json(seen: Snapshot, name: str) -> dict[str, Any]:
 
 def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]]) -> dict[str, Any]:
     """Return the keys that do not belong to one tracker."""
-    ordered = sorted(alarms, key=lambda item: item[0].order)
+    ordered = sorted(alarms, key=lambda item: item[0].sort_key)
     return {
         "version": seen.version,
         "simulated": seen.simulated,
@@ -104,7 +104,7 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]])
             "longitude_deg": seen.site.longitude_deg,
             "altitude_m": seen.site.altitude_m,
         },
-        "sun_elevation_deg": number(seen.sun_elevation_deg),
+        "sun_elevation_deg": finite_or_none(seen.sun_elevation_deg),
         "sky": seen.sky,
         "scan": _scan(seen),
         "calibration": None if seen.calibration is None else _calibration(seen.calibration, seen.time_utc_s),
@@ -113,7 +113,7 @@ def _common(seen: Snapshot, alarms: Iterable[tuple[Alarm, TrackerState | None]])
         "alarms": [
             _alarm(alarm, None) | {"tracker": None}
             if tracker is None
-            else _alarm(alarm, tracker.typed_for) | {"tracker": tracker.name}
+            else _alarm(alarm, tracker.name_in_commands) | {"tracker": tracker.name}
             for alarm, tracker in ordered
         ],
         "bridge": None
@@ -144,11 +144,11 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
     return {
         "mode": {
             "name": control.mode.value,
-            "why": as_typed(control.why, tracker.typed_for),
+            "why": with_tracker_option(control.why, tracker.name_in_commands),
             "since": since,
             "asked": _wish_behind_mode(control.mode, tracker.wishes),
         },
-        "wishes": {name: _wish(wish, tracker.typed_for) for name, wish in tracker.wishes},
+        "wishes": {name: _wish(wish, tracker.name_in_commands) for name, wish in tracker.wishes},
         "at_stow": tracker.at_stow,
         "today": {
             "travelled_deg": tracker.today.travelled_deg,
@@ -163,17 +163,17 @@ def _tracker_json(seen: Snapshot, tracker: TrackerState) -> dict[str, Any]:
         "decision": None
         if control.decision is None
         else record_json(replace(control.decision, tracker=tracker.name))
-        | {"age_s": number(round(seen.age_s(control.decision.time_monotonic_s), 3))},
+        | {"age_s": finite_or_none(round(seen.age_s(control.decision.time_monotonic_s), 3))},
         "law": {"name": tracker.law} | dict(tracker.law_shown),
-        "next_decision_s": number(control.next_decision_s),
+        "next_decision_s": finite_or_none(control.next_decision_s),
         "next_decision": None
         if tracker.next is None
         else _next_decision_json(tracker.next, seen.time_utc_s + control.next_decision_s),
         "tracker": _positioner(tracker.positioner, tracker) | {"limits": _limits(tracker.limits)},
         "load": None if tracker.load is None else _load(tracker.load, tracker.name, seen),
-        "wind": [{name: number(value) for name, value in status._asdict().items()} for status in tracker.wind],
-        "wind_m_s": number(tracker.wind_m_s),
-        "stow_release_in_s": number(tracker.stow_release_in_s),
+        "wind": [{name: finite_or_none(value) for name, value in status._asdict().items()} for status in tracker.wind],
+        "wind_m_s": finite_or_none(tracker.wind_m_s),
+        "stow_release_in_s": finite_or_none(tracker.stow_release_in_s),
         "mqtt": None if link is None else _mqtt(link),
     }
 
@@ -182,7 +182,7 @@ def _irradiances(control: ControlState) -> dict[str, Any] | None:
     if control.irradiances is None:
         return None
     names = [*(f"{face}_w_m2" for face in FACES), "coverage"]
-    return {name: number(getattr(control.irradiances, name)) for name in names}
+    return {name: finite_or_none(getattr(control.irradiances, name)) for name in names}
 
 
 def _received(today: Insolation) -> dict[str, Any] | None:
@@ -194,7 +194,7 @@ def _received(today: Insolation) -> dict[str, Any] | None:
         "actual_kwh_m2": round(today.actual_kwh_m2, 5),
         "chronometric_kwh_m2": round(today.chronometric_kwh_m2, 5),
         "best_kwh_m2": round(today.best_kwh_m2, 5),
-        "gain": number(round(today.gain, 5)),
+        "gain": finite_or_none(round(today.gain, 5)),
     }
 
 
@@ -203,7 +203,7 @@ def _shadow(shadow: ShadowState, own: Insolation) -> dict[str, Any]:
         "law": shadow.law,
         "failed_why": shadow.failed_why,
         "received": _received(shadow.received),
-        "gain": number(round(shadow.gain_over(own), 5)),
+        "gain": finite_or_none(round(shadow.gain_over(own), 5)),
         "travelled_deg": shadow.travel.travelled_deg,
         "moves": shadow.travel.moves,
         "active_travelled_deg": shadow.travel.active_deg,
@@ -211,13 +211,13 @@ def _shadow(shadow: ShadowState, own: Insolation) -> dict[str, Any]:
     }
 
 
-def _next_decision_json(foresight: Foresight, due_utc_s: float) -> dict[str, Any]:
+def _next_decision_json(foresight: DecisionPreview, due_utc_s: float) -> dict[str, Any]:
     target = foresight.target
     return {
         "time": iso_utc(due_utc_s),
         "law": foresight.law,
-        "target_a_deg": number(target.a_deg),
-        "target_b_deg": number(target.b_deg),
+        "target_a_deg": finite_or_none(target.a_deg),
+        "target_b_deg": finite_or_none(target.b_deg),
         "moves": foresight.moves,
         "why": target.why,
     }
@@ -248,10 +248,10 @@ def _alarm(alarm: Alarm, tracker: str | None) -> dict[str, Any]:
         "name": alarm.name,
         "severity": kind.severity.value,
         "state": alarm.state,
-        "text": as_typed(alarm.text, tracker),
+        "text": with_tracker_option(alarm.text, tracker),
         "cause": kind.cause,
         "effect": kind.effect,
-        "remedy": as_typed(kind.remedy, tracker),
+        "remedy": with_tracker_option(kind.remedy, tracker),
         "latched": kind.latched,
         "since": raised,
         "raised_at": raised,
@@ -266,11 +266,12 @@ def _wish_behind_mode(mode: Mode, wishes: Wishes) -> str | None:
     return next((name for name in _WISHES_BY_MODE.get(mode, ()) if getattr(wishes, name) is not None), None)
 
 
-def _wish(wish: Wish | None, typed_for: str | None) -> dict[str, Any] | None:
+def _wish(wish: Wish | None, name_in_commands: str | None) -> dict[str, Any] | None:
     if wish is None:
         return None
     first, *also = (
-        {"why": as_typed(each.why, typed_for), "by": each.by, "since": each.since} for each in wish.everybodys
+        {"why": with_tracker_option(each.why, name_in_commands), "by": each.by, "since": each.since}
+        for each in wish.all_requests
     )
     return {**first, "latest": wish.latest, "also": also}
 
@@ -284,15 +285,15 @@ def _scan(seen: Snapshot) -> dict[str, Any] | None:
         "session": scan.session,
         "sequence": scan.sequence,
         "time": iso_utc(scan.time_utc_s),
-        "age_s": number(round(seen.age_s(scan.time_monotonic_s), 3)),
+        "age_s": finite_or_none(round(seen.age_s(scan.time_monotonic_s), 3)),
         "stale": seen.scan_is_stale,
         "simulated": scan.simulated,
         "calibration": scan.calibration or None,
         "faces": {
             name: {
-                "irradiance_w_m2": number(face.irradiance_w_m2),
+                "irradiance_w_m2": finite_or_none(face.irradiance_w_m2),
                 "quality": seen.face_quality(name).value,
-                "age_s": number(round(seen.age_s(face.time_monotonic_s), 3)),
+                "age_s": finite_or_none(round(seen.age_s(face.time_monotonic_s), 3)),
             }
             for name, face in zip(FACES, scan.faces, strict=True)
         },
@@ -308,7 +309,7 @@ def _load(load: LoadState, tracker: str, seen: Snapshot) -> dict[str, Any]:
         "curve": None
         if curve is None
         else record_json(replace(curve, tracker=tracker))
-        | {"age_s": number(round(seen.age_s(curve.time_monotonic_s), 3))},
+        | {"age_s": finite_or_none(round(seen.age_s(curve.time_monotonic_s), 3))},
     }
 
 
@@ -316,7 +317,7 @@ def _positioner(seen: PositionerState, tracker: TrackerState) -> dict[str, Any]:
     telemetry, identity, target, last = seen.telemetry, seen.identity, seen.target, seen.last_move
 
     def typed(text: str | None) -> str | None:
-        return None if text is None else as_typed(text, tracker.typed_for)
+        return None if text is None else with_tracker_option(text, tracker.name_in_commands)
 
     return {
         "name": tracker.name,
@@ -336,14 +337,18 @@ def _positioner(seen: PositionerState, tracker: TrackerState) -> dict[str, Any]:
         "unexplained_why": typed(seen.unexplained_why),
         "button_pressed": None if telemetry is None else telemetry.button_pressed,
         "motor_current_a": {
-            "a": None if telemetry is None else number(telemetry.a_motor_current_a),
-            "b": None if telemetry is None else number(telemetry.b_motor_current_a),
+            "a": None if telemetry is None else finite_or_none(telemetry.a_motor_current_a),
+            "b": None if telemetry is None else finite_or_none(telemetry.b_motor_current_a),
         },
-        "supply_v": None if telemetry is None else number(telemetry.supply_v),
-        "details": {} if telemetry is None else {name: number(value) for name, value in telemetry.details.items()},
+        "supply_v": None if telemetry is None else finite_or_none(telemetry.supply_v),
+        "details": {}
+        if telemetry is None
+        else {name: finite_or_none(value) for name, value in telemetry.details.items()},
         "last_move": None
         if last is None
-        else record_json(replace(last, tracker=tracker.name, why=as_typed(last.why, tracker.typed_for))),
+        else record_json(
+            replace(last, tracker=tracker.name, why=with_tracker_option(last.why, tracker.name_in_commands))
+        ),
     }
 
 
@@ -352,10 +357,10 @@ def _pose(seen: PositionerState) -> dict[str, Any] | None:
     if pose is None or seen.pose_age_s is None:
         return None
     return {
-        "a_deg": number(pose.a_deg),
-        "b_deg": number(pose.b_deg),
+        "a_deg": finite_or_none(pose.a_deg),
+        "b_deg": finite_or_none(pose.b_deg),
         "time": iso_utc(pose.time_utc_s),
-        "age_s": number(round(seen.pose_age_s, 3)),
+        "age_s": finite_or_none(round(seen.pose_age_s, 3)),
         "stale": seen.pose_is_stale,
     }
 

@@ -10,20 +10,20 @@ from random import Random
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.alarms.kept import AlarmFile
-from daemon.base.alarms.kinds import as_typed
+from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.clock import Clock
 from daemon.base.clock_watch import ClockWatch
-from daemon.base.process import TRACKER
-from daemon.base.records import Event, ModeChange, Move, Pose, Record, Scan, stamped
+from daemon.base.process import CURRENT_TRACKER
+from daemon.base.records import Event, ModeChange, Move, Pose, Record, Scan, tag_with_tracker
 from daemon.base.recurrence import LogBudget
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.end import finish
+from daemon.motion.end import stop_and_confirm
 from daemon.motion.motion import Motion
 from daemon.motion.polling import Polling
-from daemon.received.shadow import Active, Shadow
+from daemon.received.shadow import ActiveTracker, Shadow
 from daemon.received.today import FILE_NAME, ReceivedToday
-from daemon.service.inheritance import Started, last_start_utc_s, started_in
+from daemon.service.inheritance import LastStart, last_start_file, last_start_utc_s
 from daemon.service.mode_times import ModeTimes
 from daemon.service.rig import Rig, TrackerInstruments
 from daemon.tracker.control import Control
@@ -31,7 +31,7 @@ from daemon.tracker.curves import IvAcquisition
 from daemon.tracker.orders import Orders
 from daemon.tracker.phase import Phase
 from daemon.tracker.pointing import build_pointing, build_shadow
-from daemon.tracker.readings import Common, Readings
+from daemon.tracker.readings import Readings, SharedCache
 from daemon.tracker.stow import StowSource, WindStow
 from daemon.tracker.stow_watch import SafetyFile, StowWatch
 from daemon.tracker.wishes import WishFile
@@ -115,7 +115,7 @@ class Tracker:
         folder: StateFolder,
         *,
         phase: Phase,
-        common: Common,
+        common: SharedCache,
         unheard: Callable[[], str],
         muted: Callable[[], None],
         hold_why: str | None = None,
@@ -124,8 +124,8 @@ class Tracker:
         self.name = name
         self.settings = settings
         self.clock = clock
-        self.alone = phase.trackers == 1
-        self.publish = stamped(lambda record: publish(self._as_typed(record)), name)
+        self.is_only_tracker = phase.trackers == 1
+        self.publish = tag_with_tracker(lambda record: publish(self._as_typed(record)), name)
         self.alarms = Alarms(clock, self.publish, muted, AlarmFile(folder))
         self._rig = rig
         self.folder = folder
@@ -146,9 +146,9 @@ class Tracker:
             self.alarms,
             folder,
             polling,
-            begins_anew=instruments.begins_anew,
+            has_fixed_start_pose=instruments.has_fixed_start_pose,
         )
-        self.ran_utc_s = last_start_utc_s(folder) if rig.clock_lasts else -math.inf
+        self.ran_utc_s = last_start_utc_s(folder) if rig.has_persistent_clock else -math.inf
         self._clock_watch = ClockWatch(clock, self.alarms, rig.clock_synchronised, self.ran_utc_s)
         pointing = build_pointing(settings, clock.utc(), folder, common)
         self.control = Control(
@@ -168,7 +168,7 @@ class Tracker:
         self.received = self._build_received_today(FILE_NAME)
         self.shadow = self._build_shadow(common) if settings.law.shadow else None
         self.mode_times = ModeTimes(clock, settings.site.longitude_deg)
-        self.left_standing = False
+        self.is_stop_confirmed = False
         self._start_number = start_number
         self._commands = LogBudget("commands", _COMMANDS_LOGGED)
         self._motion_task: asyncio.Future[None] | None = None
@@ -190,16 +190,16 @@ class Tracker:
     @property
     def log_name(self) -> str:
         """Its name in lines of the log; empty where there is no other tracker."""
-        return "" if self.alone else self.name
+        return "" if self.is_only_tracker else self.name
 
     def _as_typed(self, record: Record) -> Record:
         """Return a record whose words name commands as they are typed for this tracker."""
-        if self.alone:
+        if self.is_only_tracker:
             return record
         if isinstance(record, Event):
-            return replace(record, text=as_typed(record.text, self.name))
+            return replace(record, text=with_tracker_option(record.text, self.name))
         if isinstance(record, ModeChange | Move):
-            return replace(record, why=as_typed(record.why, self.name))
+            return replace(record, why=with_tracker_option(record.why, self.name))
         return record
 
     def receive(self, scan: Scan, utc_s: float) -> None:
@@ -211,9 +211,9 @@ class Tracker:
                 self.shadow.add(scan, self._active_state(pose), utc_s)
             self.received.add(scan, pose, utc_s)
 
-    def _active_state(self, pose: Pose | None) -> Active:
+    def _active_state(self, pose: Pose | None) -> ActiveTracker:
         control = self.control
-        return Active(
+        return ActiveTracker(
             mode=control.mode,
             pose=pose,
             used=control.budget.used,
@@ -231,7 +231,7 @@ class Tracker:
         place, limits, utc_s = settings.site.place(), settings.limits.limits(), self.clock.utc()
         return ReceivedToday(place, limits, self._albedo, self.folder, utc_s, self._phase, file_name)
 
-    def _build_shadow(self, common: Common) -> Shadow:
+    def _build_shadow(self, common: SharedCache) -> Shadow:
         settings, utc_s = self.settings, self.clock.utc()
         law = build_shadow(settings, utc_s, self.folder, common)
         received = self._build_received_today(f"shadow-{law.named.name}-{FILE_NAME}")
@@ -254,7 +254,7 @@ class Tracker:
             self.curves.note(record)
 
     @property
-    def forgets(self) -> str | None:
+    def unsaved_state_text(self) -> str | None:
         """What a restart forgets of a real tracker because no folder is set for it, in a sentence, or None."""
         return _NOTHING_KEPT if self.folder.directory is None and not self._is_simulated_here else None
 
@@ -265,34 +265,34 @@ class Tracker:
 
     def check(self) -> None:
         """Raise the alarms that follow from the settings alone: no source of stow, nowhere to keep anything."""
-        before = TRACKER.set(self.log_name)
+        before = CURRENT_TRACKER.set(self.log_name)
         try:
             self._check_wind_source()
             self._check_folder()
         finally:
-            TRACKER.reset(before)
+            CURRENT_TRACKER.reset(before)
 
     def _check_folder(self) -> None:
         """Raise an alarm where a restart would forget all that a real tracker has to keep, and note the start.
 
         The note shows before the first stop whether the disk works: the folder reports what it could not write.
         """
-        self.alarms.set("nothing-kept", self.forgets)
-        this = Started(started_utc_s=self.clock.utc(), version=version("heliocube"), number=self._start_number)
-        started_in(self.folder).save(this)
+        self.alarms.set("nothing-kept", self.unsaved_state_text)
+        this = LastStart(started_utc_s=self.clock.utc(), version=version("heliocube"), number=self._start_number)
+        last_start_file(self.folder).save(this)
 
     def _check_wind_source(self) -> None:
         """Raise an alarm where nothing would stow a real tracker in a storm."""
         accepted = self.settings.safety.without_wind_source == "accepted"
-        if not (self.stow_watch.watched or self._is_simulated_here or accepted):
+        if not (self.stow_watch.has_sources or self._is_simulated_here or accepted):
             self.alarms.set("no-wind-source", _NO_WIND_SOURCE)
 
-    def work(self) -> Iterator[tuple[str, Awaitable[None]]]:
+    def named_coroutines(self) -> Iterator[tuple[str, Awaitable[None]]]:
         """Yield what has to run, each with its name."""
         yield "motion", self._run_with_log_name(self._move())
         yield "control", self._run_with_log_name(self.control.run())
         yield "log of commands", self._run_with_log_name(self._settle_commands())
-        if self.stow_watch.watched:
+        if self.stow_watch.has_sources:
             yield "stow", self._run_with_log_name(self.stow_watch.run())
         if self.curves is not None:
             yield "load", self._run_with_log_name(self.curves.run())
@@ -304,7 +304,7 @@ class Tracker:
     async def _settle_commands(self) -> None:
         while True:
             await asyncio.sleep(_SETTLE_EVERY_S)
-            self._log_commands(self._commands.settle(self.clock.monotonic()))
+            self._log_commands(self._commands.poll_flood_summary(self.clock.monotonic()))
 
     def _log_commands(self, line: str) -> None:
         if line:
@@ -317,12 +317,12 @@ class Tracker:
     async def _run_with_log_name(self, work: Awaitable[None]) -> None:
         """Do work, in a task of its own, whose lines in the log bear the tracker's name where there are several."""
         if self.log_name:
-            TRACKER.set(self.log_name)
+            CURRENT_TRACKER.set(self.log_name)
         await work
 
     async def _stop_motion(self) -> None:
-        left = await finish(self.motion, self.clock, _STAND_WITHIN_S)
-        self.left_standing = left is None
+        left = await stop_and_confirm(self.motion, self.clock, _STAND_WITHIN_S)
+        self.is_stop_confirmed = left is None
         if left is None:
             log.info("motion stopped: telemetry shows both axes standing")
         else:
@@ -330,12 +330,12 @@ class Tracker:
 
     async def _move(self) -> None:
         try:
-            if not self.alone:
+            if not self.is_only_tracker:
                 await asyncio.sleep(self._phase.delay_s(_CONNECT_WITHIN_S))
             self._motion_task = asyncio.ensure_future(self.motion.run())
             await self._wait_for_motion_end(self._motion_task)
         except Exception as error:
-            if self.alone:
+            if self.is_only_tracker:
                 raise
             if not isinstance(error, DriverHungError):
                 log.exception("the driver of the positioner has failed")
@@ -357,7 +357,7 @@ class Tracker:
             self._seems_hung = False
             return
         silent_s = self.clock.monotonic() - telemetry.time_monotonic_s
-        longest_s = max(_HUNG_AFTER_S, _LOOKS_MISSED * self.motion.looks_every_s)
+        longest_s = max(_HUNG_AFTER_S, _LOOKS_MISSED * self.motion.poll_interval_s)
         before, self._seems_hung = self._seems_hung, silent_s > longest_s
         # Right after the whole process stood still, this may come before the first look: the next call decides.
         if before and self._seems_hung:

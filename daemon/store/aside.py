@@ -25,14 +25,14 @@ KINDS = {
 _HOLDS_NO_RECORDS = ("folder", "device", "link", "beside")
 
 
-def companions(path: Path) -> list[Path]:
+def sidecar_files(path: Path) -> list[Path]:
     """Return the files that SQLite keeps beside a database and that are there."""
     return [beside for suffix in _COMPANIONS if os.path.lexists(beside := Path(f"{path}{suffix}"))]
 
 
-def in_the_way(path: Path) -> list[Path]:
+def sidecar_obstacles(path: Path) -> list[Path]:
     """Return what stands in the place of such a file and is no file: a folder, a pipe, a link to nowhere."""
-    return [beside for beside in companions(path) if not _is_file(beside)]
+    return [beside for beside in sidecar_files(path) if not _is_file(beside)]
 
 
 def _is_file(path: Path) -> bool:
@@ -61,12 +61,12 @@ def move_aside(path: Path, kind: str, utc_s: float) -> Path:
         The folder cannot be written to.
     """
     if kind == "beside":
-        for beside in in_the_way(path):
+        for beside in sidecar_obstacles(path):
             beside.rename(_unused_path(path, kind, utc_s))
-        return stores_aside(path)[-1]
+        return find_moved_aside(path)[-1]
     aside = _unused_path(path, kind, utc_s)
     # The files beside it go first: a store that still stood there without them would be used, and lose their records.
-    for beside in companions(path):
+    for beside in sidecar_files(path):
         beside.rename(f"{aside}{str(beside).removeprefix(str(path))}")
     path.rename(aside)
     return aside
@@ -82,7 +82,7 @@ def _unused_path(path: Path, kind: str, utc_s: float) -> Path:
     return aside
 
 
-def stores_aside(path: Path) -> list[Path]:
+def find_moved_aside(path: Path) -> list[Path]:
     """Return what has been moved aside from a store's path and is still there, the oldest first."""
     found = path.parent.glob(f"{path.stem}.*Z*.*{path.suffix}")
     return sorted(one for one in found if one.name.split(".")[-2] in KINDS)
@@ -90,7 +90,7 @@ def stores_aside(path: Path) -> list[Path]:
 
 def aside_text(path: Path) -> str | None:
     """Return in a sentence what has been moved aside from a store's path, and what to do; None for nothing."""
-    found = stores_aside(path)
+    found = find_moved_aside(path)
     if not found:
         return None
     newest = found[-1]

@@ -65,7 +65,7 @@ class Batch:
         return max((row[1] for rows in self.rows.values() for row in rows), default=-math.inf)
 
 
-def identified(run: int, origin: Origin) -> Origin:
+def with_identifier(run: int, origin: Origin) -> Origin:
     """Return a run's origin with an identifier; a run from before there were any gets the same one at each call."""
     if origin.id:
         return origin
@@ -101,7 +101,7 @@ def next_batch(
     for _, name, row in page:
         if _is_sound_record(name, row):
             rows.setdefault(name, []).append(row)
-    return Batch(identified(run, origin), page[-1][0], rows, len(page) - sum(map(len, rows.values())))
+    return Batch(with_identifier(run, origin), page[-1][0], rows, len(page) - sum(map(len, rows.values())))
 
 
 def is_sound(origin: Origin) -> bool:

@@ -47,7 +47,7 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
     part = copy.with_name(f"{copy.name}.part")
     size = _size_bytes(connection)
     try:
-        lacking = no_room(path, size)
+        lacking = missing_space_text(path, size)
         if lacking is not None:
             _warn_without_copy(path, version, lacking)
             return
@@ -70,7 +70,7 @@ def keep_copy(connection: sqlite3.Connection, path: Path, version: int) -> None:
         part.unlink(missing_ok=True)
 
 
-def no_room(path: Path, size: int) -> str | None:
+def missing_space_text(path: Path, size: int) -> str | None:
     """Return why a copy of a store of that many bytes does not fit beside it, or None; raises `OSError`."""
     free, needed = shutil.disk_usage(path.parent).free, size + _SPARE_BYTES
     if free >= needed:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.store.runs import require_records
-from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql, unreadable
+from daemon.store.schema import FILE_NAME, columns_of, open_for_reading, tracker_sql, unreadable_store_error
 from daemon.store.tables import COLUMNS, Column, Format, Row, TableWriter
 from solar.frames import azimuth_from_direction, normal_from_angles
 
@@ -102,7 +102,7 @@ def export(
                 rows = {name: table.copy(connection, writer, span) for name, table in tables.items()}
                 return Exported(rows, any(table.simulated for table in tables.values()))
         except sqlite3.Error as error:
-            raise unreadable(directory / FILE_NAME, error) from None
+            raise unreadable_store_error(directory / FILE_NAME, error) from None
 
 
 class _Table:

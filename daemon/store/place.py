@@ -12,10 +12,10 @@ from daemon.base.errors import UserError
 RECORDS_NAME = "records"
 _USUAL_FILE = "heliocube.toml"
 # The state folder of the units in deploy/. systemd tells it to them, and not to the shell of a person.
-OF_THE_UNITS = Path("/var/lib/heliocube")
+SYSTEMD_STATE_FOLDER = Path("/var/lib/heliocube")
 
 
-def default_place(file: Path, environment: Mapping[str, str]) -> Path:
+def default_records_folder(file: Path, environment: Mapping[str, str]) -> Path:
     """Return the folder for what the service of a configuration file must not forget; two files get two folders.
 
     Parameters
@@ -32,14 +32,14 @@ def default_place(file: Path, environment: Mapping[str, str]) -> Path:
     return file.parent / (RECORDS_NAME if file.name == _USUAL_FILE else f"{file.stem}-{RECORDS_NAME}")
 
 
-def to_read(file: Path, environment: Mapping[str, str]) -> Path:
+def records_folder_to_read(file: Path, environment: Mapping[str, str]) -> Path:
     """Return the same folder for the command of a person, to which systemd tells no folder."""
-    found, units = default_place(file, environment), OF_THE_UNITS / file.stem
+    found, units = default_records_folder(file, environment), SYSTEMD_STATE_FOLDER / file.stem
     return units if units.exists() and not found.exists() else found
 
 
 @contextlib.contextmanager
-def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
+def lock_folder(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
     """Keep other services of the same roles out of a folder for as long as this one runs.
 
     Two services would overwrite each other's stops. A folder that cannot be written to is not locked.
@@ -58,7 +58,7 @@ def claimed(directory: Path | None, roles: tuple[str, ...]) -> Iterator[None]:
         yield
 
 
-def is_claimed(directory: Path, role: str) -> bool:
+def is_folder_locked(directory: Path, role: str) -> bool:
     """Tell whether a service of a role is at work in a folder, by the lock: the lock's file outlives the service."""
     if sys.platform == "win32":
         return False

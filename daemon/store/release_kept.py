@@ -45,7 +45,7 @@ def last_started(directory: Path | None, name: str = FILE_NAME) -> str | None:
     return None if kept is None else kept.release
 
 
-class Releases:
+class ReleaseWatch:
     """Remembers in a folder which release was started there.
 
     Parameters
@@ -90,18 +90,18 @@ class Releases:
             f"the program was changed from {self.before} to {self._release}, and nobody has checked the tracker since"
         )
 
-    async def run(self, all_is_kept: Callable[[], bool]) -> None:
+    async def run(self, is_everything_saved: Callable[[], bool]) -> None:
         """Write down that this release has been started, and remove the copies of stores once it has run for a day.
 
         Parameters
         ----------
-        all_is_kept
+        is_everything_saved
             Whether the hold is on the disk: until then the next start has to find the change again.
         """
         if self.before is not None:
             self._publish(self._event(f"changed from {self.before} to {self._release}"))
         while True:
-            if not self._is_release_saved and all_is_kept():
+            if not self._is_release_saved and is_everything_saved():
                 self._save(0.0)
             start_s = self._clock.monotonic()
             await asyncio.sleep(_LOOK_EVERY_S if self._is_release_saved else _SETTLE_EVERY_S)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from daemon.base.clock import iso_utc, minute_utc
 from daemon.base.errors import UserError
-from daemon.store.schema import RUN_COLUMNS, columns_of, open_for_reading, unreadable
+from daemon.store.schema import RUN_COLUMNS, columns_of, open_for_reading, unreadable_store_error
 from daemon.store.store import Origin
 from daemon.store.tables import COLUMNS
 
@@ -28,7 +28,7 @@ def runs_of(path: Path) -> list[StoredRun]:
             wanted = ", ".join(name if name in there else "''" for name in RUN_COLUMNS)
             rows = connection.execute(f"SELECT run, {wanted} FROM runs ORDER BY started, run").fetchall()  # noqa: S608 - our own names
         except sqlite3.Error as error:
-            raise unreadable(path, error) from None
+            raise unreadable_store_error(path, error) from None
     return [
         StoredRun(
             run,
@@ -49,7 +49,7 @@ def runs_of(path: Path) -> list[StoredRun]:
     ]
 
 
-class ToldBefore(NamedTuple):
+class PriorRecords(NamedTuple):
     """What a run of the service had recorded before an instant, each with its time [s UTC] and its tracker.
 
     Attributes
@@ -64,7 +64,7 @@ class ToldBefore(NamedTuple):
     modes: tuple[tuple[float, str, str], ...] = ()
 
 
-def told_before(path: Path, run: int, utc_s: float) -> ToldBefore:
+def read_prior_records(path: Path, run: int, utc_s: float) -> PriorRecords:
     """Return what a run had recorded before an instant [s UTC]; raises `StoreError`."""
     found: list[tuple[tuple[float, str, str], ...]] = []
     with closing(open_for_reading(path)) as connection:
@@ -77,11 +77,11 @@ def told_before(path: Path, run: int, utc_s: float) -> ToldBefore:
                 )
                 found.append(tuple(connection.execute(query, (run, utc_s)).fetchall()))
         except sqlite3.Error as error:
-            raise unreadable(path, error) from None
-    return ToldBefore(*found)
+            raise unreadable_store_error(path, error) from None
+    return PriorRecords(*found)
 
 
-def reach_of(path: Path) -> tuple[float, float] | None:
+def record_time_range(path: Path) -> tuple[float, float] | None:
     """Return the times [s UTC] of a store's first and last record, None without one; raises `StoreError`."""
     ends: list[float] = []
     with closing(open_for_reading(path)) as connection:
@@ -91,13 +91,13 @@ def reach_of(path: Path) -> tuple[float, float] | None:
                     first, last = connection.execute(f"SELECT MIN(time), MAX(time) FROM {name}").fetchone()  # noqa: S608 - as above
                     ends += [at for at in (first, last) if at is not None]
         except sqlite3.Error as error:
-            raise unreadable(path, error) from None
+            raise unreadable_store_error(path, error) from None
     return (min(ends), max(ends)) if ends else None
 
 
 def require_records(path: Path, start_utc_s: float, end_utc_s: float) -> None:
     """Raise `UserError` for a store without a record of any kind in a span, whose ends [s UTC] may be infinite."""
-    reach = reach_of(path)
+    reach = record_time_range(path)
     if reach is None:
         raise UserError(f"the store {path} holds nothing yet")
     with closing(open_for_reading(path)) as connection:
@@ -107,11 +107,11 @@ def require_records(path: Path, start_utc_s: float, end_utc_s: float) -> None:
                 if columns_of(connection, name) and connection.execute(query, (start_utc_s, end_utc_s)).fetchone():
                     return
         except sqlite3.Error as error:
-            raise unreadable(path, error) from None
-    raise UserError(nothing_in(start_utc_s, end_utc_s, str(path), reach))
+            raise unreadable_store_error(path, error) from None
+    raise UserError(no_records_text(start_utc_s, end_utc_s, str(path), reach))
 
 
-def nothing_in(
+def no_records_text(
     start_utc_s: float, end_utc_s: float, source: str, reach: tuple[float, float] | None, record: str = "record"
 ) -> str:
     """Return the sentence for a span, whose ends [s UTC] may be infinite, of which `source` has no `record`."""

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from daemon.base.errors import UserError
-from daemon.base.files import give, make_folder
-from daemon.store.aside import companions
+from daemon.base.files import give_to_folder_owner, make_folder
+from daemon.store.aside import sidecar_files
 from daemon.store.copies import copies_of
 from daemon.store.schema import FILE_NAME, RUN_COLUMNS, UnusableStoreError, check_is_store, columns_of, open_for_writing
 from daemon.store.tables import COLUMNS, Column
@@ -105,17 +105,17 @@ def _open_for_owner(target: Path) -> sqlite3.Connection:
     """Open the store that takes the records, and give it to its folder's owner: a service cannot write to root's."""
     if not target.exists():
         target.touch(0o600)
-        give(target)
+        give_to_folder_owner(target)
     connection = open_for_writing(target)
     for copy in copies_of(target.parent):
-        give(copy)
+        give_to_folder_owner(copy)
     return connection
 
 
 def _copy(file: Path, scratch: Path) -> Path:
     copy = scratch / "copy.sqlite"
     shutil.copyfile(file, copy)
-    for beside in companions(file):
+    for beside in sidecar_files(file):
         # SQLite makes -shm, its index of the log, anew. In the place of a log there may be a folder.
         if beside.is_file() and not beside.name.endswith("-shm"):
             shutil.copyfile(beside, f"{copy}{str(beside).removeprefix(str(file))}")
@@ -173,7 +173,7 @@ def _graft_first_page(copy: Path, file: Path) -> None:
         raise UserError(f"nothing of a store can be read from {file}")
     page[28:32] = struct.pack(">I", pages)
     page[92:96] = page[24:28]
-    for beside in companions(copy):
+    for beside in sidecar_files(copy):
         # A log without the page that it begins with says nothing.
         beside.unlink()
     with copy.open("r+b") as damaged:

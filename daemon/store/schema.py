@@ -10,7 +10,7 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.records import Record, Scan
-from daemon.store.aside import in_the_way
+from daemon.store.aside import sidecar_obstacles
 from daemon.store.copies import keep_copy
 from daemon.store.tables import COLUMNS, Row, with_irradiances
 
@@ -99,14 +99,14 @@ def open_for_writing(path: Path) -> sqlite3.Connection:
     sqlite3.Error
         The disk is full or fails.
     """
-    require_target(path)
+    require_link_target(path)
     if path.is_dir():
         raise UnusableStoreError(f"{path} is a folder: move it away", "folder")
     if path.exists() and not path.is_file():
         raise UnusableStoreError(f"{path} is a pipe or a device: move it away", "device")
     if Path(os.path.realpath(path)).is_symlink():
         raise UnusableStoreError(f"{path} is a link that leads back to itself: remove it", "link")
-    for beside in in_the_way(path):
+    for beside in sidecar_obstacles(path):
         raise UnusableStoreError(f"{beside} is not a file of SQLite's: move it away", "beside")
     # SQLite would remove the log that lies beside a file that it does not know.
     if path.exists() and not _is_database(path):
@@ -152,7 +152,7 @@ def _is_database(path: Path) -> bool:
     return True
 
 
-def require_target(path: Path) -> None:
+def require_link_target(path: Path) -> None:
     """Raise `StoreError` if the store is a link into a folder that is not there, such as one on an unmounted disk."""
     target = Path(os.path.realpath(path))
     try:
@@ -166,7 +166,7 @@ def require_target(path: Path) -> None:
 
 def require_store(path: Path) -> None:
     """Raise `StoreError` where there is no file of a store."""
-    require_target(path)
+    require_link_target(path)
     try:
         there = path.is_file()
     except PermissionError:
@@ -187,7 +187,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
             check_is_store(connection, path)
     except sqlite3.Error as error:
         connection.close()
-        raise unreadable(path, error) from None
+        raise unreadable_store_error(path, error) from None
     except BaseException:
         connection.close()
         raise
@@ -201,10 +201,10 @@ def _no_permission_error(path: Path) -> StoreError:
     )
 
 
-def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
+def unreadable_store_error(path: Path, error: sqlite3.Error) -> StoreError:
     """Return the error to raise if a store cannot be read."""
     remedy = ""
-    if damage(error) is not None:
+    if damage_kind(error) is not None:
         remedy = f"; 'heliocube store salvage {path} --into FOLDER' gets what can be read from it"
     elif not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=os.access in os.supports_effective_ids):
         remedy = (
@@ -214,7 +214,7 @@ def unreadable(path: Path, error: sqlite3.Error) -> StoreError:
     return StoreError(f"the store {path} cannot be read: {error}{remedy}")
 
 
-class Rows:
+class RowConverter:
     """Turns records of one kind into rows, and names the statement that stores them."""
 
     def __init__(self, kind: type[Row]) -> None:
@@ -285,7 +285,7 @@ def _as_store_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        kind = damage(error)
+        kind = damage_kind(error)
         if kind is None:
             raise
         remedy = f"'heliocube store salvage {path} --into FOLDER' gets what can be read from it"
@@ -293,7 +293,7 @@ def _as_store_errors(path: Path) -> Iterator[None]:
         raise UnusableStoreError(sentence, kind) from None
 
 
-def damage(error: sqlite3.Error) -> str | None:
+def damage_kind(error: sqlite3.Error) -> str | None:
     """Return what an error says about the file, ``damaged`` or ``foreign``; None for one that may go away by itself."""
     code = getattr(error, "sqlite_errorcode", None)
     if code is None:

@@ -19,9 +19,17 @@ from uuid import uuid4
 from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Record
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.store.aside import aside_text, move_aside
-from daemon.store.schema import FILE_NAME, RUN_COLUMNS, Rows, StoreError, UnusableStoreError, damage, open_for_writing
+from daemon.store.schema import (
+    FILE_NAME,
+    RUN_COLUMNS,
+    RowConverter,
+    StoreError,
+    UnusableStoreError,
+    damage_kind,
+    open_for_writing,
+)
 from daemon.store.tables import COLUMNS
 
 log = logging.getLogger("heliocube.store")
@@ -123,7 +131,7 @@ class Store:
         self._publish = publish
         self._set_alarm = alarm
         self._outage = Outage(log, "the store")
-        self._rows = {kind: Rows(kind) for kind in COLUMNS}
+        self._rows = {kind: RowConverter(kind) for kind in COLUMNS}
         self._waiting: deque[tuple[int, Record]] = deque(maxlen=_MOST_WAITING)
         self._changed = threading.Condition()
         self._closing = False
@@ -218,7 +226,7 @@ class Store:
             return None
         if not os.access(self._path, os.R_OK | os.W_OK) and os.access(self._path.parent, os.W_OK):
             return "locked"
-        return damage(error) if isinstance(error, sqlite3.Error) else None
+        return damage_kind(error) if isinstance(error, sqlite3.Error) else None
 
     def _check_aside(self) -> None:
         self._alarm("store-aside", aside_text(self._path))
@@ -311,7 +319,7 @@ class Store:
                 self._reported_lost = self._lost
         self._alarm("store-down", None)
         if reported:
-            what = counted(lost, "record was", "records were") if lost else "nothing was"
+            what = pluralise(lost, "record was", "records were") if lost else "nothing was"
             self._report(f"writes again; {what} lost")
 
     def _reason(self, error: Exception) -> str:

@@ -31,13 +31,13 @@ class TableError(UserError):
 class Column(NamedTuple):
     """One column: its name, where in the record its value is, and what it holds.
 
-    Columns with `always`, a value that is the same in every row, come after all columns from the records.
+    Columns with `constant_value`, a value that is the same in every row, come after all columns from the records.
     """
 
     name: str
     path: str
     holds: Literal["time", "float", "int", "bool", "text"]
-    always: bool | None = None
+    constant_value: bool | None = None
 
 
 def _columns_like_fields(holds: Literal["float", "text"], *names: str) -> list[Column]:
@@ -310,9 +310,9 @@ class _ParquetTable:
 
 def _values_of(columns: list[Column]) -> Callable[[Row], tuple[Any, ...]]:
     """Return a function that takes a record's values for its columns, in their order."""
-    told = attrgetter(*[column.path for column in columns if column.always is None])
-    always = tuple(column.always for column in columns if column.always is not None)
-    return (lambda record: (*told(record), *always)) if always else told
+    told = attrgetter(*[column.path for column in columns if column.constant_value is None])
+    constant_value = tuple(column.constant_value for column in columns if column.constant_value is not None)
+    return (lambda record: (*told(record), *constant_value)) if constant_value else told
 
 
 def _part(path: Path) -> Path:

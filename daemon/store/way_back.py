@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from daemon.store.aside import companions
+from daemon.store.aside import sidecar_files
 from daemon.store.schema import StoreError, check_is_store, columns_of, open_for_reading
 from daemon.store.tables import COLUMNS
 
 
 @dataclass(frozen=True, slots=True)
-class WentBack:
+class DowngradeResult:
     """What became of a store.
 
     Attributes
@@ -41,13 +41,13 @@ def set_aside(path: Path, utc_s: float) -> Path:
     """Give a store that an older release cannot use another name in its folder, and return that; raises `OSError`."""
     stamp = datetime.fromtimestamp(utc_s, UTC).strftime("%Y%m%dT%H%M%SZ")
     newer = path.with_name(f"{path.stem}.newer-{stamp}{path.suffix}")
-    for beside in companions(path):
+    for beside in sidecar_files(path):
         beside.rename(f"{newer}{str(beside).removeprefix(str(path))}")
     path.rename(newer)
     return newer
 
 
-def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
+def downgrade_store(path: Path, copy: Path, utc_s: float) -> DowngradeResult:
     """Put the copy of an older version in a store's place; the newer one stays in the folder under another name.
 
     Both have the same runs up to the copy. So a record that came since is known by the number of its run or, in a run
@@ -78,7 +78,7 @@ def go_back(path: Path, copy: Path, utc_s: float) -> WentBack:
         raise StoreError(f"the copy {copy} cannot be used: {error}; the store {path} is as it was") from None
     newer = set_aside(path, utc_s)
     copy.rename(path)
-    return WentBack(records, newer, left_out)
+    return DowngradeResult(records, newer, left_out)
 
 
 def _take_over_records(connection: sqlite3.Connection, path: Path) -> tuple[int, str]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from daemon.base.errors import UserError
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.config.simulation import WeatherName
 from drivers.numbers import read_number
 from solar.tables import separator_of
@@ -76,7 +76,7 @@ def check_weather_file(path: Path, built_in: Sequence[str] = _SKIES) -> None:
 
     The sentence names the built-in skies that the command takes.
     """
-    check_ordinary(path, "measured weather")
+    check_regular_file(path, "measured weather")
     if not path.exists():
         if built_in == _SKIES:
             raise UserError(
@@ -126,7 +126,7 @@ def check_table(path: Path) -> str:
     return separator_of(header.decode("latin-1"))
 
 
-def check_names(where: str, found: Sequence[str], counted: Iterable[str]) -> None:
+def check_unique_columns(where: str, found: Sequence[str], counted: Iterable[str]) -> None:
     """Raise `UserError` if one of the columns in `counted` stands twice among those found."""
     for name in counted:
         if found.count(name) > 1:
@@ -141,20 +141,20 @@ def check_frame(path: Path, frame: "pd.DataFrame") -> None:
         raise UserError(f"{path} has more cells in its lines than names in its header")
     # pandas adds ".1" to the name of the second of two columns with one name.
     names = [str(name).removesuffix(".1") for name in frame]
-    check_names(str(path), names, names)
+    check_unique_columns(str(path), names, names)
 
 
-def with_point(number: str, separator: str) -> str:
+def with_decimal_point(number: str, separator: str) -> str:
     """Return the text of a number with a decimal point; tables separated by semicolons may have decimal commas."""
     return number.replace(",", ".") if separator == ";" else number
 
 
-def not_utf8(where: Path | str) -> UserError:
+def not_utf8_error(where: Path | str) -> UserError:
     """Return the refusal of a table in another encoding."""
     return UserError(f"{where} is not text in UTF-8: save it as such ('CSV UTF-8' in a spreadsheet)")
 
 
-def check_ordinary(path: Path, what: str) -> None:
+def check_regular_file(path: Path, what: str) -> None:
     """Raise `UserError` for a folder, a device or a pipe where a file with `what` is meant."""
     if path.is_dir():
         raise UserError(f"{path} is a folder: name a file with {what} in it")
@@ -169,14 +169,14 @@ def _special_file_error(path: Path) -> UserError:
 def check_data_files(paths: Sequence[Path], what: str) -> None:
     """Raise `UserError` for the first path at which there is no ordinary file with `what`."""
     for path in paths:
-        check_ordinary(path, what)
+        check_regular_file(path, what)
         if not path.exists():
             raise UserError(f"there is no file {path} with {what}")
 
 
 def impossible_note(source: str, count: int, first: str) -> str:
     """Return a sentence on how many numbers of a file are impossible, and where the first of them stands."""
-    return f"{source} has {counted(count, 'impossible value')}, taken as missing; first {first}"
+    return f"{source} has {pluralise(count, 'impossible value')}, taken as missing; first {first}"
 
 
 def settings_for(
@@ -239,18 +239,18 @@ def settings_for(
     settings = load_settings(config) if config is not None else Settings()
     instruments = {}
     if cube is not None:
-        instruments["cube"] = CUBE.changed(settings.instruments.cube, {DRIVER: CUBE.complete(cube)})
+        instruments["cube"] = CUBE.table_with_changes(settings.instruments.cube, {DRIVER: CUBE.complete(cube)})
     if positioner is not None:
         driver = {DRIVER: POSITIONER.complete(positioner)}
-        instruments["positioner"] = POSITIONER.changed(settings.instruments.positioner, driver)
+        instruments["positioner"] = POSITIONER.table_with_changes(settings.instruments.positioner, driver)
     if rotctld is not None:
         driver = {DRIVER: ROTCTLD, "server": rotctld}
-        instruments["positioner"] = POSITIONER.changed(settings.instruments.positioner, driver)
+        instruments["positioner"] = POSITIONER.table_with_changes(settings.instruments.positioner, driver)
     changes["instruments"] = instruments
     return override(settings, changes)
 
 
-def of_several(settings: "Settings", number: int) -> "Settings":
+def with_identical_trackers(settings: "Settings", number: int) -> "Settings":
     """Return the settings of `number` trackers that are all alike, for one process and one cube.
 
     Raises

@@ -22,7 +22,7 @@ from daemon.studies.recorded import RecordedScans, read_csv, unit_note
 from daemon.studies.replay import replay as run_replay
 from daemon.studies.simulate import simulate as run_simulation
 from solar.ephemeris import Site
-from solar.irradiance import possible
+from solar.irradiance import is_possible
 
 __all__ = ["UserError", "read_faces", "read_store", "replay", "simulate"]
 
@@ -247,7 +247,7 @@ def _rows(faces: pd.DataFrame) -> RecordedScans:
         values = faces[list(FACES)].to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as error:
         raise UserError(f"the readings must be numbers [W/m2], NaN where a face has none ({error})") from None
-    return RecordedScans(seconds, np.where(possible(values), values, np.nan))
+    return RecordedScans(seconds, np.where(is_possible(values), values, np.nan))
 
 
 def _tables(folder: Path) -> Tables:

@@ -8,7 +8,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from daemon.base.errors import UserError
-from daemon.base.files import part_of
+from daemon.base.files import atomic_output_path
 
 # Removes the time of writing that an SVG or a PDF would contain: the same figure has to give the same bytes.
 _UNDATED_METADATA: dict[str, dict[str, Any]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
@@ -30,7 +30,7 @@ def save_picture(figure: Figure, path: Path, dpi: float = 120.0) -> None:
         figure.savefig(content, format=kind, dpi=dpi, metadata=_UNDATED_METADATA.get(kind, {}))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part_of(path) as part:
+        with atomic_output_path(path) as part:
             part.write_bytes(content.getvalue())
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None

@@ -16,21 +16,21 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.schema import FILE_NAME, open_for_reading
-from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
+from daemon.studies.inputs import check_table, check_unique_columns, not_utf8_error, with_decimal_point
 from drivers.numbers import read_number
 from solar.ephemeris import Site
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, kilowatts_note
 from solar.tables import (
-    NO_READING,
+    MISSING_VALUES,
     BrokenLine,
     CellError,
     broken_line,
     numbered_rows,
-    opened,
+    open_table,
+    read_error_text,
     second_header_hint,
     summer_time_hint,
-    why_unread,
     zone_note,
 )
 
@@ -93,7 +93,7 @@ class Recording:
         Where the first of them stands, and its text; empty without any.
     broken
         The last line, if the file breaks off in it; it is not among the rows.
-    zone
+    zone_note
         A sentence on how times without a zone were taken; empty where each time names its zone.
     """
 
@@ -102,11 +102,11 @@ class Recording:
     impossible: int
     first_impossible: str
     broken: BrokenLine | None = None
-    zone: str = ""
+    zone_note: str = ""
 
     def notes(self) -> list[str]:
         """Return what a person should know of the times and the missing readings, a sentence each."""
-        found = [self.zone] if self.zone else []
+        found = [self.zone_note] if self.zone_note else []
         if self.broken:
             found.append(self.broken.note())
         if self.missing:
@@ -135,7 +135,7 @@ def read_csv(path: Path) -> Recording:
     impossible: list[str] = []
     unzoned: list[str] = []
     try:
-        with opened(path) as file:
+        with open_table(path) as file:
             broken = broken_line(path, separator)
             cells = array("d")
             for row in _rows(path, file, separator, impossible, unzoned, broken):
@@ -144,9 +144,9 @@ def read_csv(path: Path) -> Recording:
     except FileNotFoundError:
         raise UserError(f"{path} does not exist: name a CSV file with the columns {','.join(COLUMNS)}") from None
     except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
+        raise UserError(f"{path} cannot be read: {read_error_text(error)}") from None
     except UnicodeDecodeError:
-        raise not_utf8(path) from None
+        raise not_utf8_error(path) from None
     except CellError as error:
         raise UserError(f"{path}, {error}") from None
     if not cells:
@@ -159,7 +159,7 @@ def read_csv(path: Path) -> Recording:
         impossible=len(impossible),
         first_impossible=impossible[0] if impossible else "",
         broken=broken,
-        zone=zone_note(unzoned),
+        zone_note=zone_note(unzoned),
     )
 
 
@@ -210,13 +210,13 @@ def _rows(
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise UserError(f"{path}, line 1: the column {missing[0]} is missing; the header must name {','.join(COLUMNS)}")
-    check_names(f"{path}, line 1", header, COLUMNS)
+    check_unique_columns(f"{path}, line 1", header, COLUMNS)
     places = [header.index(name) for name in COLUMNS]
     before: list[float] = []
     for line, given in rows:
         if not any(cell.strip() for cell in given) or (broken and line == broken.number):
             continue
-        cells = given if separator == "," else [with_point(cell, separator) for cell in given]
+        cells = given if separator == "," else [with_decimal_point(cell, separator) for cell in given]
         try:
             row = _row(cells, len(header), places, before)
         except ValueError as error:
@@ -252,7 +252,7 @@ def _utc(text: str, row: int) -> float:
 
 
 def _irradiance(name: str, text: str) -> float:
-    if text.lower() in NO_READING:
+    if text.lower() in MISSING_VALUES:
         return math.nan
     if text.lower() in _OUT_OF_RANGE:
         return math.inf

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import LoopClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.files import part_of
-from daemon.base.process import Notifier, simulated_time_in_log
+from daemon.base.files import atomic_output_path
+from daemon.base.process import SystemdNotifier, simulated_time_in_log
 from daemon.base.records import FACES, Bus, Decision, Event, FaceReading, Mode, ModeChange, Quality, Record, Scan
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
-from daemon.config.file import on_a_port_of_its_own
+from daemon.config.file import with_loopback_bridge
 from daemon.config.links import StoreSettings
 from daemon.config.rules import END_OF_STARTS, FIRST_START
-from daemon.config.settings import Settings, settings_of_one
+from daemon.config.settings import Settings, settings_of_tracker
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.repeats import Repeats
 from daemon.motion.polling import Polling
@@ -56,7 +56,7 @@ _PROGRESS_EVERY_ROWS = 1000
 _ROWS_AT_ONCE = 50_000
 
 
-class Replayed(NamedTuple):
+class ReplayResult(NamedTuple):
     """What the service made of the rows that were done: all of them, or those before Ctrl-C.
 
     Attributes
@@ -76,7 +76,7 @@ class Replayed(NamedTuple):
 
 def replay(
     settings: Settings, rows: RecordedScans, called: str, out: Path, progress: Callable[[float], None]
-) -> Replayed:
+) -> ReplayResult:
     """Run the tracker's role on recorded readings and write one line per row to `out`.
 
     Parameters
@@ -98,18 +98,18 @@ def replay(
         The rows are too few, too far apart or not within 1979 to 2099, `out` cannot be written, or the settings have
         several trackers.
     """
-    settings = _settings_for_rows(settings_of_one(settings, None), rows, called)
+    settings = _settings_for_rows(settings_of_tracker(settings, None), rows, called)
     # A folder that cannot be written to is reported before the work and not after it.
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with part_of(out) as part, _opened(part, out.suffix.lower()) as file:
+        with atomic_output_path(out) as part, _opened(part, out.suffix.lower()) as file:
             log = _run(settings, rows, progress)
             done = len(log.modes)
             qualities = np.frombuffer(log.qualities, dtype=np.uint8).reshape(-1, len(FACES))[:done]
             _write(file, settings, rows, log, qualities == _QUALITIES.index(Quality.OK))
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from None
-    return Replayed(qualities, log.events, failed_laws(log.trackers))
+    return ReplayResult(qualities, log.events, failed_laws(log.trackers))
 
 
 class _Log:
@@ -160,7 +160,7 @@ def _settings_for_rows(settings: Settings, rows: RecordedScans, called: str) -> 
         "safety": settings.safety.model_copy(update={"scan_stale_s": stale_s}),
         "store": StoreSettings(),
     }
-    return on_a_port_of_its_own(settings, insecure=True).model_copy(update=changes)
+    return with_loopback_bridge(settings, insecure=True).model_copy(update=changes)
 
 
 def _run(settings: Settings, rows: RecordedScans, progress: Callable[[float], None]) -> _Log:
@@ -172,12 +172,12 @@ def _run(settings: Settings, rows: RecordedScans, progress: Callable[[float], No
         service = Service(
             settings,
             Role.TRACKER,
-            Rig(None, (TrackerInstruments(positioner, begins_anew=True),), None, simulated=True),
+            Rig(None, (TrackerInstruments(positioner, has_fixed_start_pose=True),), None, simulated=True),
             clock,
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             bus,
             None,
-            Notifier({}, 0),
+            SystemdNotifier({}, 0),
             polling=_POLLING,
         )
         log = _Log(service.trackers)
@@ -250,7 +250,7 @@ class _Feeder:
 
     async def _wait(self, duration_s: float) -> None:
         """Let time pass; while the tracker rests time may jump, as nothing else runs but the polling at rest."""
-        if self._motion.resting and self._loop.time() - self._last_sleep_end_s < _POLLING.idle_s:
+        if self._motion.is_idle and self._loop.time() - self._last_sleep_end_s < _POLLING.idle_s:
             self._loop.skip(max(duration_s, 0.0))
         else:
             # A short move may begin and end during this sleep.
@@ -291,7 +291,7 @@ class _Feeder:
     def _angles(self) -> tuple[float, float, float, float]:
         """Return where the tracker was sent last and where it stands; at rest it is looked at only once."""
         motion = self._motion
-        if motion.resting and self._last_angles_at_rest:
+        if motion.is_idle and self._last_angles_at_rest:
             return self._last_angles
         truth = self._truth(self._loop.time())
         heading, last = motion.target, motion.last_move
@@ -303,7 +303,7 @@ class _Feeder:
             # It was never sent anywhere: its set point is where it stands.
             a_set, b_set = truth
         seen = (a_set, b_set, *truth)
-        self._last_angles_at_rest = motion.resting and seen == self._last_angles
+        self._last_angles_at_rest = motion.is_idle and seen == self._last_angles
         self._last_angles = seen
         return seen
 
@@ -320,7 +320,7 @@ class _Feeder:
                 await self._live_until(self._loop.time() + min(left_s, _AWAKE_S))
 
     def _may_skip(self, skip_s: float) -> bool:
-        if self._control.mode is not Mode.NIGHT or not self._motion.resting:
+        if self._control.mode is not Mode.NIGHT or not self._motion.is_idle:
             return False
         utc_s = self._clock.utc()
         return all(self._sun_elevation_deg(at_s) < _DEEP_NIGHT_DEG for at_s in (utc_s, utc_s + skip_s))

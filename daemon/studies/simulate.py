@@ -10,10 +10,10 @@ from typing import Literal
 
 from daemon.base.clock import LoopClock
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier, simulated_time_in_log
+from daemon.base.process import SystemdNotifier, simulated_time_in_log
 from daemon.base.records import Bus, Decision, Mode, ModeChange, Move, Record, Scan
 from daemon.base.timeloop import virtual_time
-from daemon.config.file import on_a_port_of_its_own
+from daemon.config.file import with_loopback_bridge
 from daemon.config.links import StoreSettings
 from daemon.config.rules import END_OF_STARTS, FIRST_START
 from daemon.config.settings import Settings
@@ -24,7 +24,7 @@ from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.store.tables import TableError, TableWriter
 from daemon.studies.failed_laws import failed_laws
-from daemon.studies.simulated_day import SIMULATED_COLUMNS, PlaneInsolation, Poses, placed
+from daemon.studies.simulated_day import SIMULATED_COLUMNS, PlaneInsolation, Poses, with_plane_orientation
 from solar.ephemeris import DAY_S, sun_day
 
 _PROGRESS_EVERY_S = 900.0
@@ -101,7 +101,7 @@ def simulate(
     calibration = calibration_in_force(settings.cube)
     weather, warning = build_weather(settings, start_utc_s, end_utc_s, with_gaps=True)
     # No store: records go to tables, and a simulation must not obey commands that an operator gave to a real rig.
-    settings = on_a_port_of_its_own(settings, insecure=True).model_copy(update={"store": StoreSettings()})
+    settings = with_loopback_bridge(settings, insecure=True).model_copy(update={"store": StoreSettings()})
     interrupted_utc_s, latitude_deg, poses = None, settings.site.latitude_deg, Poses()
     tally = _Tally(start_utc_s, [name for name, _ in settings.trackers])
     with (
@@ -117,7 +117,7 @@ def simulate(
             # `count_down` raises it later: code that publishes a record must not fail because of the disk.
             if not full:
                 try:
-                    tables.write(placed(record, latitude_deg))
+                    tables.write(with_plane_orientation(record, latitude_deg))
                 except TableError as error:
                     full.append(error)
 
@@ -132,7 +132,7 @@ def simulate(
             Random(settings.simulation.seed),  # noqa: S311 - reproducibility is the point; nothing secret depends on it
             bus,
             None,
-            Notifier({}, 0),
+            SystemdNotifier({}, 0),
             calibration=calibration,
             polling=SIMULATED,
         )

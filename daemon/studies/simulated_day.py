@@ -19,11 +19,11 @@ from solar.skies.sky import sky
 
 _STEP_S = 60.0
 _PLANE = [Column(name, name, "float") for name in ("surface_tilt", "surface_azimuth")]
-_SIMULATED = Column("simulated", "simulated", "bool", always=True)
+_SIMULATED = Column("simulated", "simulated", "bool", constant_value=True)
 
 
 @dataclass(frozen=True, slots=True)
-class PlacedPose(Pose):
+class OrientedPose(Pose):
     """A pose, and where the module's plane faces [deg]: tilt from the horizontal, azimuth from North clockwise."""
 
     surface_tilt: float = 0.0
@@ -40,18 +40,18 @@ def _columns_of_simulation(kind: type[Row], columns: list[Column]) -> list[Colum
 
 
 SIMULATED_COLUMNS: dict[type[Row], tuple[str, list[Column]]] = {
-    PlacedPose if kind is Pose else kind: (name, _columns_of_simulation(kind, columns))
+    OrientedPose if kind is Pose else kind: (name, _columns_of_simulation(kind, columns))
     for kind, (name, columns) in COLUMNS.items()
 }
 """The tables of a simulation: the service's own, with pvlib's names for poses, each row marked as simulated."""
 
 
-def placed(record: Record, latitude_deg: float) -> Record:
+def with_plane_orientation(record: Record, latitude_deg: float) -> Record:
     """Return a pose with where its plane faces at a latitude, anything else as it is."""
     if not isinstance(record, Pose):
         return record
     values: tuple[Any, ...] = (*_pose_values(record), *_plane(record.a_deg, record.b_deg, latitude_deg))
-    return PlacedPose(*values)
+    return OrientedPose(*values)
 
 
 # A tracker stands at one place for most of its poses.

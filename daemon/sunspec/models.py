@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from daemon.base.records import FACES, Mode, MoveOutcome, Target
 from daemon.service.snapshot import Snapshot, TrackerState
-from drivers.modbus.pdu import words_for
+from drivers.modbus.pdu import encode_number
 from solar.frames import (
     azimuth_from_direction,
     equator_azimuth_deg,
@@ -197,14 +197,14 @@ def _irradiance(seen: Snapshot) -> list[int]:
 
 def _location(seen: Snapshot) -> list[int]:
     now, site = datetime.fromtimestamp(seen.time_utc_s, UTC), seen.site
-    degrees = [words_for(value * 1e7, "int32") for value in (site.latitude_deg, site.longitude_deg)]
+    degrees = [encode_number(value * 1e7, "int32") for value in (site.latitude_deg, site.longitude_deg)]
     return [
         *text_words(f"{now:%H%M%S}Z", 6),
         *text_words(f"{now:%Y%m%d}", 4),
         *text_words(site.name, 20),
         *degrees[0],
         *degrees[1],
-        *words_for(site.altitude_m, "int32"),
+        *encode_number(site.altitude_m, "int32"),
     ]
 
 
@@ -212,25 +212,27 @@ def _weather(seen: Snapshot) -> list[int]:
     """Return the weather, of which only the strongest wind that any source reports now [m/s] is known."""
     speeds = [status.speed_m_s for tracker in seen.trackers for status in tracker.wind]
     known = [speed for speed in speeds if math.isfinite(speed)]
-    wind = words_for(max(known), "int16")[0] if known else _NO_INT16
+    wind = encode_number(max(known), "int16")[0] if known else _NO_INT16
     return [_NO_INT16, _NO_INT16, _NO_INT16, wind, *[_NO_INT16] * 7]
 
 
 def _control(tracker: TrackerState, manual: Mapping[str, ManualTarget]) -> list[int]:
     wanted = manual.get(tracker.name, ManualTarget())
-    words = [_NO_INT32 if each is None else words_for(each, "int32") for each in wanted]
+    words = [_NO_INT32 if each is None else encode_number(each, "int32") for each in wanted]
     return [*words[0], *words[1], MANUAL if in_manual(tracker) else AUTOMATIC]
 
 
 def in_manual(tracker: TrackerState) -> bool:
     """Tell whether a person, or a control room, keeps the tracker from following the law."""
     wishes = tracker.wishes
-    return wishes.stillness is not None or any(wish is not None for wish in (wishes.stow, wishes.snow, wishes.hold))
+    return wishes.standstill_reason is not None or any(
+        wish is not None for wish in (wishes.stow, wishes.snow, wishes.hold)
+    )
 
 
 def degree_words(value_deg: float) -> tuple[int, ...]:
     """Return an angle [deg] in hundredths as two registers."""
-    return words_for(value_deg * PER_DEG, "int32")
+    return encode_number(value_deg * PER_DEG, "int32")
 
 
 def text_words(text: str, size: int) -> list[int]:

@@ -18,8 +18,8 @@ from daemon.service.operator_commands import Command, Operators
 from daemon.service.snapshot import Snapshot
 from daemon.sunspec.models import SunSpecMap
 from daemon.sunspec.table import Override, SunSpecTable
-from drivers.modbus.framing import Asked, BrokenStreamError, TcpServer
-from drivers.modbus.pdu import DEVICE_FAILURE, FAILED, ILLEGAL_VALUE, WRITES, exception_text
+from drivers.modbus.framing import BrokenStreamError, ReceivedRequest, TcpServer
+from drivers.modbus.pdu import DEVICE_FAILURE, EXCEPTION_FLAG, ILLEGAL_VALUE, WRITE_FUNCTIONS, exception_text
 from drivers.modbus.server import answer
 
 log = logging.getLogger("heliocube.sunspec")
@@ -112,7 +112,7 @@ class SunSpecServer:
             log.info("SunSpec is served at %s, %s", address, may)
             while True:
                 await asyncio.sleep(_SETTLE_EVERY_S * self._speed)
-                self._log(self._refusal_budget.settle(self._clock.monotonic()))
+                self._log(self._refusal_budget.poll_flood_summary(self._clock.monotonic()))
         finally:
             await self._end(server)
 
@@ -173,30 +173,30 @@ class SunSpecServer:
         async with asyncio.timeout(_IDLE_S * self._speed):
             return await reader.read(_CHUNK)
 
-    async def _answer(self, asked: Asked, host: str) -> bytes:
+    async def _answer(self, asked: ReceivedRequest, host: str) -> bytes:
         pdu = asked.request.pdu
         if asked.request.unit not in (self._own.unit, *_THIS_DEVICE):
-            return bytes((pdu[0] | FAILED, _NO_SUCH_UNIT))
-        reply = answer(self._table, pdu) or bytes((pdu[0] | FAILED, DEVICE_FAILURE))
-        override = self._table.take()
-        if reply[0] & FAILED or override is None:
-            if reply[0] & FAILED and pdu[0] in WRITES:
+            return bytes((pdu[0] | EXCEPTION_FLAG, _NO_SUCH_UNIT))
+        reply = answer(self._table, pdu) or bytes((pdu[0] | EXCEPTION_FLAG, DEVICE_FAILURE))
+        override = self._table.pop_override()
+        if reply[0] & EXCEPTION_FLAG or override is None:
+            if reply[0] & EXCEPTION_FLAG and pdu[0] in WRITE_FUNCTIONS:
                 why = exception_text(reply) if self._own.manual else "sunspec.manual is false"
                 self._tell(f"{host}, register {int.from_bytes(pdu[1:3])}: {why}")
             return reply
         if self._table.is_in_force(override):
-            self._table.done(override)
+            self._table.note_carried_out(override)
             return reply
         code = await self._carry_out(override, host)
-        return bytes((pdu[0] | FAILED, code)) if code else reply
+        return bytes((pdu[0] | EXCEPTION_FLAG, code)) if code else reply
 
     async def _carry_out(self, override: Override, host: str) -> int:
         """Return 0 once a command is under way, or the exception of one that is refused."""
         goes = override.name == "goto"
         command = Command(
             name=override.name,
-            wanted=override.name,
-            way="SunSpec",
+            action=override.name,
+            channel="SunSpec",
             why="the control room set model 601 to manual" if override.name != "auto" else "the control room set 601",
             by=f"SunSpec client {host}",
             identifier=None,
@@ -218,10 +218,10 @@ class SunSpecServer:
             self._refuse_held(override)
             await self._operators.carry_out(command)
         except CommandError as error:
-            self._table.refused(override)
+            self._table.note_refusal(override)
             self._tell(f"{command.by}: {error}")
             return error
-        self._table.done(override)
+        self._table.note_carried_out(override)
         return None
 
     def _refuse_held(self, override: Override) -> None:

@@ -21,7 +21,7 @@ from daemon.sunspec.models import (
     SunSpecMap,
     in_manual,
 )
-from drivers.modbus.pdu import DEVICE_FAILURE, ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, number
+from drivers.modbus.pdu import DEVICE_FAILURE, ILLEGAL_ADDRESS, ILLEGAL_FUNCTION, ILLEGAL_VALUE, decode_number
 from drivers.modbus.server import NoBits, RefusedRequestError
 from solar.frames import angles_from_direction, direction_from_azimuth
 
@@ -100,7 +100,7 @@ class SunSpecTable(NoBits):
         return words[first : first + count]
 
     def write(self, function: int, register: int, values: tuple[int, ...]) -> None:  # noqa: ARG002 - 6 and 16 alike
-        """Take in angles and mode of one tracker; `take` returns what they ask of it."""
+        """Take in angles and mode of one tracker; `pop_override` returns what they ask of it."""
         if not self._writable:
             raise RefusedRequestError(ILLEGAL_FUNCTION)
         # Take a new snapshot: a person may have ended the override a moment ago.
@@ -130,7 +130,7 @@ class SunSpecTable(NoBits):
         self._snapshot_s = -_KEPT_S
         self._current()
         wishes = self._tracker(tracker).wishes
-        return wishes.stillness is not None or wishes.stow is not None or wishes.snow is not None
+        return wishes.standstill_reason is not None or wishes.stow is not None or wishes.snow is not None
 
     def is_in_force(self, asked: Override) -> bool:
         """Tell whether a tracker already does what is asked of it, as telemetry shows.
@@ -152,12 +152,12 @@ class SunSpecTable(NoBits):
         there = self._map.is_at(tracker, *place) if target is None else (target.a_deg, target.b_deg) == place
         return hold.goto_deg == place and there
 
-    def take(self) -> Override | None:
+    def pop_override(self) -> Override | None:
         """Return what the last write asks of a tracker, once."""
         asked, self._pending_override = self._pending_override, None
         return asked
 
-    def done(self, asked: Override) -> None:
+    def note_carried_out(self, asked: Override) -> None:
         """Take note that an override was carried out: after ``auto`` the earlier angles are forgotten."""
         self._snapshot_s = -_KEPT_S
         if self._newest.get(asked.tracker) is not asked:
@@ -168,7 +168,7 @@ class SunSpecTable(NoBits):
         elif asked.name == "goto":
             self._goto_places[asked.tracker] = (asked.a_deg, asked.b_deg)
 
-    def refused(self, asked: Override) -> None:
+    def note_refusal(self, asked: Override) -> None:
         """Take note that an override was refused: forget the angles of the same write, and restore the earlier ones.
 
         Otherwise a mode that is written alone later would move the tracker to the refused place.
@@ -260,7 +260,7 @@ class SunSpecTable(NoBits):
 
 def _angle(words: tuple[int, ...], low: int, high: int) -> int | None:
     """Return an angle; None for the mark of an angle that is not set, as in a block that is written back as read."""
-    value = int(number(words, "int32"))
+    value = int(decode_number(words, "int32"))
     if value == NO_INT32:
         return None
     if not low <= value <= high:

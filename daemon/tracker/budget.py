@@ -5,7 +5,7 @@ import logging
 from pydantic import BaseModel, ConfigDict, Field
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.base.state import StateFile, StateFolder, UnreadableStateError, turn_day
+from daemon.base.state import StateFile, StateFolder, UnreadableStateError, roll_over_day
 from daemon.config.sections import MotionSettings
 from solar.ephemeris import Site, share_of_daylight_left, solar_days
 
@@ -21,7 +21,7 @@ _SHARE_AHEAD_OF_TIME = 0.1
 _SEE_SETTINGS = "see motion.moves_per_day and motion.travel_per_day_deg"
 
 
-class Used(BaseModel):
+class UsedBudget(BaseModel):
     """The travel [deg, A and B added] and the moves of the laws on a solar day; `day` is counted from 1970."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -30,12 +30,12 @@ class Used(BaseModel):
     travelled_deg: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     moves: int = Field(default=0, ge=0)
 
-    def plus(self, travelled_deg: float, moves: int) -> "Used":
+    def plus(self, travelled_deg: float, moves: int) -> "UsedBudget":
         """Return a count with this travel and these moves added."""
-        return Used(day=self.day, travelled_deg=self.travelled_deg + travelled_deg, moves=self.moves + moves)
+        return UsedBudget(day=self.day, travelled_deg=self.travelled_deg + travelled_deg, moves=self.moves + moves)
 
 
-def is_early(moves: int, settings: MotionSettings, site: Site, utc_s: float) -> bool:
+def is_ahead_of_schedule(moves: int, settings: MotionSettings, site: Site, utc_s: float) -> bool:
     """Whether so many moves are made by now that the next has to wait: the day's moves are to last until sunset.
 
     Parameters
@@ -71,11 +71,11 @@ class DayBudget:
     def __init__(self, settings: MotionSettings, site: Site, folder: StateFolder, alarms: Alarms, utc_s: float) -> None:
         self._settings = settings
         self._site = site
-        self._file = StateFile(folder, FILE_NAME, Used, log, "the moves of the day")
+        self._file = StateFile(folder, FILE_NAME, UsedBudget, log, "the moves of the day")
         self._alarms = alarms
-        # An older day's count ends with the first `turn`, which comes when the clock can be trusted.
-        self.used = self._load() or Used(day=int(solar_days(utc_s, site.longitude_deg)))
-        self._later_day: Used | None = None
+        # An older day's count ends with the first `begin_day_if_due`, which comes when the clock can be trusted.
+        self.used = self._load() or UsedBudget(day=int(solar_days(utc_s, site.longitude_deg)))
+        self._later_day: UsedBudget | None = None
 
     @property
     def moves_left(self) -> int:
@@ -88,17 +88,17 @@ class DayBudget:
         return max(self._settings.travel_per_day_deg - self.used.travelled_deg, 0.0)
 
     @property
-    def is_for_the_sun(self) -> bool:
+    def is_reserved_for_sun(self) -> bool:
         """Whether the travel that is left is kept for following the sun by the clock, which beats standing."""
         return self.travel_left_deg < _SHARE_KEPT_FOR_SUN * self._settings.travel_per_day_deg
 
     def waits_why(self, utc_s: float) -> str | None:
         """Return why the next move has to wait for a later time of the day; None if it need not, or no move is left."""
-        if self.moves_left < 1 or not is_early(self.used.moves, self._settings, self._site, utc_s):
+        if self.moves_left < 1 or not is_ahead_of_schedule(self.used.moves, self._settings, self._site, utc_s):
             return None
         return f"waits, because the day's {self._settings.moves_per_day} moves are to last until sunset"
 
-    def turn(self, utc_s: float) -> None:
+    def begin_day_if_due(self, utc_s: float) -> None:
         """Begin a new day when the sun has passed its lowest point since the last call.
 
         If the clock was wrong for a time and is then set to the day of the kept count, that count goes on.
@@ -106,7 +106,7 @@ class DayBudget:
         today, before, later = int(solar_days(utc_s, self._site.longitude_deg)), self.used, self._later_day
         if today == before.day:
             return
-        self.used, self._later_day = turn_day(today, before, later, Used(day=today))
+        self.used, self._later_day = roll_over_day(today, before, later, UsedBudget(day=today))
         if self.used is later:
             self.used = later.plus(before.travelled_deg, before.moves)
         else:
@@ -125,7 +125,7 @@ class DayBudget:
         """Count a move that was ordered, and note that on disk."""
         self.used = self.used.plus(distance_deg, 1)
         self._save()
-        if self.is_for_the_sun:
+        if self.is_reserved_for_sun:
             self._alarms.set(
                 _ALARM,
                 f"three quarters of the day's budget of travel are used ({self._usage_text}): the rest is kept for"
@@ -143,7 +143,7 @@ class DayBudget:
             f" {self._settings.travel_per_day_deg:g}"
         )
 
-    def _load(self) -> Used | None:
+    def _load(self) -> UsedBudget | None:
         try:
             return self._file.load()
         except UnreadableStateError as error:

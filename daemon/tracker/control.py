@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.clock import Clock
-from daemon.base.clock_watch import ClockWatch, told_sleep, told_step
+from daemon.base.clock_watch import ClockWatch, clock_step_text, sleep_text
 from daemon.base.records import Decision, Estimate, Event, Irradiances, Mode, ModeChange, Pose, Record, Scan, Target
-from daemon.base.recurrence import Recurrence, Wording
+from daemon.base.recurrence import Recurrence, ReportStyle
 from daemon.base.sleeps import SleepGauge
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import wait_at_most
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.tracker.budget import DayBudget
-from daemon.tracker.doors import Doors
-from daemon.tracker.modes import Data, Situation, next_mode
+from daemon.tracker.doors import OperatorInterface
+from daemon.tracker.modes import DataState, Situation, next_mode
 from daemon.tracker.orders import Orders
 from daemon.tracker.parking import Parking
 from daemon.tracker.phase import ALONE, Phase
-from daemon.tracker.pointing import Foresight, NamedLaw, Pointing, Whereabouts, ask, foresee
+from daemon.tracker.pointing import DecisionPreview, NamedLaw, Pointing, PoseAndTarget, ask_law, preview_decision
 from daemon.tracker.readings import Readings
 from daemon.tracker.reminders import Reminders
 from daemon.tracker.stow_watch import StowWatch
@@ -68,7 +68,7 @@ class ControlState:
     next_decision_s: float
 
 
-class Control(Doors):
+class Control(OperatorInterface):
     """Decides what the tracker does, every few seconds, and where it points, every few minutes.
 
     Parameters
@@ -129,14 +129,14 @@ class Control(Doors):
         self._since_utc_s = clock.utc()
         self._due_s = -math.inf
         self._decision: Decision | None = None
-        self._data, self._wind_known = Data.WAITING, False
+        self._data, self._wind_known = DataState.WAITING, False
         self._last_refusal = ""
-        self._foreseen: tuple[object, Foresight | None] | None = None
-        self._foresee_from_s = clock.monotonic() + phase.delay_s(_FORESEE_EVERY_S)
+        self._decision_preview: tuple[object, DecisionPreview | None] | None = None
+        self._preview_from_s = clock.monotonic() + phase.delay_s(_FORESEE_EVERY_S)
         self._changes: dict[frozenset[Mode], Recurrence] = {}
         self.last_tick_s = clock.monotonic()
 
-    # Doors for the bridge, for motion and for operators.
+    # Entry points for the bridge, for motion and for operators.
 
     def receive(self, scan: Scan, utc_s: float) -> None:
         """Take in a fresh, authentic scan that has come at this UTC [s]; its monotonic times are on our clock."""
@@ -164,40 +164,40 @@ class Control(Doors):
             why=self.why,
             since_utc_s=self._since_utc_s,
             scan=self._readings.newest,
-            scan_age_s=now_s - self._readings.good_s,
+            scan_age_s=now_s - self._readings.newest_good_scan_s,
             irradiances=self._readings.mean(now_s),
             decision=self._decision,
             next_decision_s=max(self._due_s - now_s, 0.0) if deciding else math.nan,
         )
 
-    def foresee(self) -> Foresight | None:
+    def preview_decision(self) -> DecisionPreview | None:
         """Return what the next decision would be were the light to stay as it is; None in modes that do not decide."""
         if self.mode not in (Mode.TRACKING, Mode.FALLBACK):
             return None
         now_s, known = self._clock.monotonic(), (self.mode, self._decision, self._motion.target)
-        if now_s >= self._foresee_from_s or (self._foreseen is not None and self._foreseen[0] != known):
+        if now_s >= self._preview_from_s or (self._decision_preview is not None and self._decision_preview[0] != known):
             in_s = max(self._due_s - now_s, 0.0)
-            self._foresee_from_s = self._phase.next_s(now_s, _FORESEE_EVERY_S)
-            ahead = foresee(
+            self._preview_from_s = self._phase.next_s(now_s, _FORESEE_EVERY_S)
+            ahead = preview_decision(
                 self._deciding_law,
                 self._readings.mean(now_s),
-                self._whereabouts,
+                self._pose_and_target,
                 self._clock.utc() + in_s,
                 self._settings.motion.deadband_deg,
                 sun_known=self._clock_watch.trusted,
                 may_move=self.budget.waits_why(self._clock_watch.believed_utc_s + in_s) is None,
             )
-            self._foreseen = known, ahead
-        return None if self._foreseen is None else self._foreseen[1]
+            self._decision_preview = known, ahead
+        return None if self._decision_preview is None else self._decision_preview[1]
 
     @property
     def _deciding_law(self) -> NamedLaw:
-        by_readings = self.mode is Mode.TRACKING and not self.budget.is_for_the_sun
+        by_readings = self.mode is Mode.TRACKING and not self.budget.is_reserved_for_sun
         return self.pointing.chosen if by_readings else self.pointing.fallback
 
     @property
-    def _whereabouts(self) -> Whereabouts:
-        return Whereabouts(self._motion.pose, self._motion.heading)
+    def _pose_and_target(self) -> PoseAndTarget:
+        return PoseAndTarget(self._motion.pose, self._motion.heading)
 
     async def run(self) -> None:
         """Tick every few seconds, and at once on request, until cancelled."""
@@ -213,7 +213,7 @@ class Control(Doors):
     @property
     def _must_wait(self) -> bool:
         """Whether decisions are held back, because readings are not good at present or the wind was not heard yet."""
-        return not self._wind_known or (self.mode is Mode.TRACKING and self._data is not Data.FRESH)
+        return not self._wind_known or (self.mode is Mode.TRACKING and self._data is not DataState.FRESH)
 
     def _until_next_tick(self) -> float:
         now_s = self._clock.monotonic()
@@ -226,8 +226,8 @@ class Control(Doors):
         """Judge the situation once, change mode if it calls for that, and act in the mode."""
         now_s = self._clock.monotonic()
         self._watch_clock(now_s)
-        self.budget.turn(self._clock_watch.believed_utc_s)
-        self.pointing.turn(self._clock_watch.believed_utc_s)
+        self.budget.begin_day_if_due(self._clock_watch.believed_utc_s)
+        self.pointing.begin_day_if_due(self._clock_watch.believed_utc_s)
         self._freeze()
         mean = self._readings.mean(now_s)
         situation = self._situation(now_s, mean)
@@ -238,7 +238,7 @@ class Control(Doors):
         if mode is not self.mode:
             if self.mode is Mode.STOW and situation.stow_why is None:
                 # If the next mode does not decide at once, a move to the stow position would go on.
-                self._motion.forget_order()
+                self._motion.cancel_move()
             self._enter(mode, why, now_s)
         self.why = why
         self._motion.may_rehome = mode is Mode.FAULT and self._wind_known and self.wishes.allow_rehoming
@@ -253,10 +253,10 @@ class Control(Doors):
 
     def _watch_clock(self, now_s: float) -> None:
         if (step_s := self._clock_watch.step_s()) is not None:
-            self._warn(told_step(step_s, self._clock.utc()))
+            self._warn(clock_step_text(step_s, self._clock.utc()))
         if (slept_s := self._sleeps.take_s()) > self._settings.safety.scan_stale_s:
             # By the monotonic clock, which stands still during a sleep, old readings seem fresh.
-            self._warn(told_sleep(slept_s))
+            self._warn(sleep_text(slept_s))
             self._readings.forget()
             self._stow_watch.note_sleep(now_s)
             if (text := self._orders.end_goto_on_its_way(self._parking.stands_at)) is not None:
@@ -269,13 +269,13 @@ class Control(Doors):
         self._wind_known = (waiting_why := self._stow_watch.waiting_why(now_s)) is None
         if waiting_why is not None:
             # Wait; go to no night or (below) snow position: it may be steeper than where the tracker lay in a storm.
-            data, data_why, night_why = Data.WAITING, waiting_why, None
+            data, data_why, night_why = DataState.WAITING, waiting_why, None
         wishes = self.wishes
         return Situation(
             connected=self._motion.connected,
             blocked_why=self._motion.blocked,
             doubt_why=self._motion.doubt,
-            homing=self._motion.goes_home,
+            homing=self._motion.is_homing_or_queued,
             maintenance_why=wishes.describe("maintenance"),
             stop_why=wishes.describe("stop"),
             buttons_why=wishes.describe("buttons"),
@@ -301,10 +301,10 @@ class Control(Doors):
         kept_s = self._settings.safety.keep_pose_s if (self.mode, mode) == (Mode.TRACKING, Mode.FALLBACK) else 0.0
         self.mode = mode
         self._since_utc_s = utc_s
-        self._due_s = max(now_s, self._readings.good_s + kept_s)
+        self._due_s = max(now_s, self._readings.newest_good_scan_s + kept_s)
         self._parking.forget()
         # An order that has not begun yet was given for a reason that is no longer in force.
-        self._motion.forget_waiting()
+        self._motion.cancel_waiting_order()
         if mode is Mode.FAULT:
             self._orders.end_goto("a fault")
 
@@ -312,8 +312,8 @@ class Control(Doors):
         """Log a change of mode; if two modes keep alternating, say so once: every change is recorded anyway."""
         changes = self._changes.setdefault(frozenset((self.mode, mode)), Recurrence(_FEW_CHANGES, reminds=False))
         said = changes.note(now_s)
-        often = f" ({changes.how_often(now_s)} between these two)" if said is Wording.OFTEN else ""
-        level = logging.DEBUG if said is Wording.QUIETLY else logging.INFO
+        often = f" ({changes.how_often(now_s)} between these two)" if said is ReportStyle.SUMMARY else ""
+        level = logging.DEBUG if said is ReportStyle.SILENT else logging.INFO
         log.log(level, "%s -> %s: %s%s", self.mode, mode, why, often, extra={"fields": {"mode": mode}})
 
     def _act(self, now_s: float, mean: Irradiances | None) -> None:
@@ -331,23 +331,23 @@ class Control(Doors):
             self._decide(now_s, mean)
 
     def _hold(self, now_s: float) -> None:
-        if self.wishes.stillness is None and self._orders.hold_at is not None:
+        if self.wishes.standstill_reason is None and self._orders.hold_at is not None:
             self._parking.park(self._orders.hold_at, now_s)
         elif self._motion.moving:
-            self._motion.rest()
+            self._motion.request_stop()
 
     def _decide(self, now_s: float, mean: Irradiances | None) -> None:
         rested_s = now_s - self._motion.last_move_started_s
         if rested_s < self._settings.motion.minimum_interval_s:
             self._due_s = now_s + self._settings.motion.minimum_interval_s - rested_s
             return
-        chosen, utc_s, whereabouts = self._deciding_law, self._clock.utc(), self._whereabouts
+        chosen, utc_s, known = self._deciding_law, self._clock.utc(), self._pose_and_target
         self._due_s = self._phase.next_s(now_s, chosen.law.decide_every_s)
-        said = ask(chosen, mean, whereabouts, utc_s, sun_known=self._clock_watch.trusted)
+        said = ask_law(chosen, mean, known, utc_s, sun_known=self._clock_watch.trusted)
         answer, target = said
         # Read the name after asking (a law that fails gives way) and before a move (it may use up the law's share).
         law = self._deciding_law.name
-        worth_it = said.worth_moving(whereabouts.heading, self._settings.motion.deadband_deg)
+        worth_it = said.worth_moving(known.heading, self._settings.motion.deadband_deg)
         waits_why = self.budget.waits_why(self._clock_watch.believed_utc_s) if worth_it else None
         if waits_why is not None:
             target = replace(target, why=f"{target.why}; {waits_why}")

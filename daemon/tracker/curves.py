@@ -11,7 +11,7 @@ from random import Random
 import numpy as np
 
 from daemon.base.clock import Clock
-from daemon.base.reconnect import Outage, Reconnection, Rhythm
+from daemon.base.reconnect import Outage, PeriodicSchedule, Reconnection
 from daemon.base.records import CurveQuality, Event, IvCurve, Quality, Record, Scan
 from drivers.errors import DeviceError
 from drivers.interfaces import ElectronicLoad, SweptCurve
@@ -72,7 +72,7 @@ class IvAcquisition:
         self._zenith_w_m2, self._zenith_s = math.nan, -math.inf
         self.outage = Outage(log, "the load")
         self._reconnection = Reconnection(self.outage, random, clock.monotonic, self._notify, lost=DeviceError)
-        self._rhythm = Rhythm(settings.period_s)
+        self._rhythm = PeriodicSchedule(settings.period_s)
         self._was_open = self._has_failed = False
         self.identity: str | None = None
         self.last: IvCurve | None = None
@@ -127,7 +127,7 @@ class IvAcquisition:
             curve = None
             if not self._time_known() or self._sun_elevation_deg(self._clock.utc()) > _LOWEST_SUN_DEG:
                 curve = await self._measure_curve()
-            self._reconnection.works()
+            self._reconnection.note_working()
             if curve is not None:
                 self.last = curve
                 self._publish(curve)

@@ -15,7 +15,7 @@ from drivers.errors import RefusedError
 _ALL_DECIDE_WITHIN_S = 3.0
 
 
-class Doors:
+class OperatorInterface:
     """Latches what operators ask for; the state machine behind it carries it out.
 
     Parameters
@@ -63,19 +63,19 @@ class Doors:
         """What persons asked for and is in force."""
         return self._orders.wishes
 
-    def refuse_while_still(self, command: str) -> None:
+    def refuse_if_stopped(self, command: str) -> None:
         """Raise `RefusedError` where a person's stop, maintenance or a person at the unit forbids a command."""
-        self._orders.refuse(command)
+        self._orders.refuse_if_stopped(command)
 
     def stow(self, why: str, by: str = "") -> None:
         """Go to the stow position and stay until released; `RefusedError` while nothing may move."""
-        self._orders.refuse("stow")
+        self._orders.refuse_if_stopped("stow")
         self._orders.latch("stow", why, by)
         self._keep_wishes()
 
     def snow(self, why: str, by: str = "") -> None:
         """Go to the snow position and stay until released, but for stow; `RefusedError` while nothing may move."""
-        self._orders.refuse("snow")
+        self._orders.refuse_if_stopped("snow")
         if self.wishes.stow is not None:
             raise RefusedError("positioner", f"no snow: the tracker is {self.wishes.describe('stow')}; {RELEASE}")
         self._orders.hold_at = None
@@ -88,7 +88,7 @@ class Doors:
 
         Raises `RefusedError` while nothing may move, and while the tracker is stowed.
         """
-        self._orders.refuse("hold")
+        self._orders.refuse_if_stopped("hold")
         self._refuse_stowed("hold")
         self._orders.hold_at = None
         self._orders.latch("hold", why, by, instead_of="snow")
@@ -104,23 +104,23 @@ class Doors:
         RefusedError
             The tracker is stopped, stowed, starting or in fault: nothing is kept for later.
         """
-        self.refuse_goto(a_deg, b_deg)
+        self.check_goto(a_deg, b_deg)
         if self.mode in (Mode.STARTING, Mode.FAULT):
             remedy = "; give it again in a minute, or after 'heliocube hold'" if self.mode is Mode.STARTING else ""
             raise RefusedError("positioner", f"no goto in mode {self.mode}: {self.why}{remedy}")
         self._orders.hold_at = Target(a_deg, b_deg, why)
         # An older order that waits could still move the tracker to elsewhere.
-        self._motion.forget_waiting()
+        self._motion.cancel_waiting_order()
         self._orders.latch("hold", why, by, instead_of="snow", goto_deg=(a_deg, b_deg))
         self._parking.forget()
         self._keep_wishes()
 
-    def refuse_goto(self, a_deg: float, b_deg: float) -> None:
+    def check_goto(self, a_deg: float, b_deg: float) -> None:
         """Raise what `goto` raises because of the position, a person's orders or a stow."""
         limits = self._settings.limits.limits()
         if not limits.contain(a_deg, b_deg):
             raise ValueError(f"A {a_deg:g}, B {b_deg:g} deg is outside the limits ({limits})")
-        self._orders.refuse("goto")
+        self._orders.refuse_if_stopped("goto")
         self._refuse_stowed("goto")
 
     def auto(self) -> None:
@@ -128,7 +128,7 @@ class Doors:
         self._orders.release()
         if self.mode in (Mode.HOLD, Mode.SNOW):
             # If nothing is decided anew, a move to the position that a person wanted would go on.
-            self._motion.forget_order()
+            self._motion.cancel_move()
         self._freeze()
         self._keep_wishes()
 
@@ -141,7 +141,7 @@ class Doors:
 
     def join_stop(self, why: str, by: str = "") -> bool:
         """Note who else wants the tracker stopped, just after a stop was sent; return whether that is new."""
-        if self.wishes.stop is not None and self.wishes.stop.tells(why, by):
+        if self.wishes.stop is not None and self.wishes.stop.has_request(why, by):
             return False
         self._orders.latch("stop", why, by)
         self._freeze()
@@ -153,7 +153,7 @@ class Doors:
 
         Raises `RefusedError` while a person's stop stands, and `DeviceError` as `stop` does.
         """
-        self._orders.refuse("maintenance")
+        self._orders.refuse_if_stopped("maintenance")
         await self._stand_still("maintenance", why, by)
 
     async def _stand_still(self, name: str, why: str, by: str) -> None:
@@ -169,11 +169,11 @@ class Doors:
 
     def _freeze(self) -> None:
         """Tell motion at once what persons want to stand still."""
-        stillness = self.wishes.stillness
-        if stillness is not None:
+        standstill_reason = self.wishes.standstill_reason
+        if standstill_reason is not None:
             # A move to a fixed position ends here; if this is released before the next tick, order it again at once.
             self._parking.forget()
-        self._motion.freeze(None if stillness is None else f"the tracker is {stillness}; {RELEASE}")
+        self._motion.freeze(None if standstill_reason is None else f"the tracker is {standstill_reason}; {RELEASE}")
 
     def _refuse_stowed(self, command: str) -> None:
         if self.mode is Mode.STOW:
@@ -189,18 +189,18 @@ class Doors:
 
     def home(self) -> None:
         """Start a reference run of both axes; `RefusedError` while nothing may move, and while stowed."""
-        self.refuse_home()
+        self.check_home()
         self._motion.home()
         self._wake.set()
 
-    def refuse_home(self) -> None:
+    def check_home(self) -> None:
         """Raise what `home` raises because of a person's orders or a stow."""
-        self._orders.refuse("home")
+        self._orders.refuse_if_stopped("home")
         self._refuse_stowed("home")
 
     def clear_faults(self, shown: tuple[str, ...] | None = None) -> tuple[str, ...]:
         """Clear the faults and doubts that are shown, and no other; return them. `RefusedError` while stopped."""
-        self._orders.refuse("clear")
+        self._orders.refuse_if_stopped("clear")
         found = self._motion.concerns if shown is None else shown
         self._motion.clear_faults(shown=found)
         return found

@@ -12,7 +12,7 @@ from enum import Enum, auto
 from daemon.base.records import Mode
 
 
-class Data(Enum):
+class DataState(Enum):
     """What the cube's data is good for."""
 
     FRESH = auto()
@@ -63,7 +63,7 @@ class Situation:
     snow_why: str | None
     hold_why: str | None
     night_why: str | None
-    data: Data
+    data: DataState
     data_why: str
 
 
@@ -92,9 +92,9 @@ def next_mode(current: Mode, situation: Situation, *, at_stow: bool = False) -> 
         return Mode.HOLD, s.hold_why
     if s.night_why is not None:
         return Mode.NIGHT, s.night_why
-    if s.data is Data.FRESH:
+    if s.data is DataState.FRESH:
         return Mode.TRACKING, s.data_why
-    if s.data is Data.BAD:
+    if s.data is DataState.BAD:
         return Mode.FALLBACK, s.data_why
     # Data may yet come. Tracking and fallback go on until then; any other mode waits for it in `starting`.
     return (current if current in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING), s.data_why

@@ -51,14 +51,14 @@ class Orders:
             self.latch("hold", hold_why, PROGRAM)
             self.keep()
 
-    def refuse(self, command: str) -> None:
+    def refuse_if_stopped(self, command: str) -> None:
         """Raise `RefusedError` where a person's stop, maintenance or a person at the buttons forbids a command."""
-        wishes, stillness = self.wishes, self.wishes.stillness
+        wishes, standstill_reason = self.wishes, self.wishes.standstill_reason
         # A person who works at a tracker may press its buttons before giving the command.
         from_buttons = command == "maintenance" and wishes.stop is None and wishes.maintenance is None
-        if stillness is None or from_buttons:
+        if standstill_reason is None or from_buttons:
             return
-        raise RefusedError("positioner", f"no {command}: the tracker is {stillness}; {RELEASE}")
+        raise RefusedError("positioner", f"no {command}: the tracker is {standstill_reason}; {RELEASE}")
 
     def latch(
         self,

@@ -17,7 +17,7 @@ from daemon.config.plugged import FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_answers import checked_kept, checked_shown
 from daemon.tracker.law_file import LawFile
-from daemon.tracker.readings import Common
+from daemon.tracker.readings import SharedCache
 from solar.frames import Angles, Array, normal_from_angles, separation_deg
 from solar.laws.answers import checked_aim
 from solar.laws.law import Aim, Estimates, Faces, Law, Moment, Reading, TrackerFacts
@@ -35,7 +35,7 @@ class NamedLaw(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Whereabouts:
+class PoseAndTarget:
     """Where a tracker stands (None: not known), and where it is on its way to (None: nowhere)."""
 
     pose: Pose | None
@@ -64,7 +64,7 @@ class LawAnswer(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Foresight:
+class DecisionPreview:
     """What the next decision would be, were the light to stay as it is.
 
     Attributes
@@ -221,7 +221,7 @@ class Pointing:
         """Hand a scan that has just arrived to the law."""
         self.law.observe(reading_of(scan, utc_s))
 
-    def turn(self, utc_s: float) -> None:
+    def begin_day_if_due(self, utc_s: float) -> None:
         """Let the law begin a new day when it is time."""
         if self.law.turn(utc_s):
             self._save()
@@ -248,8 +248,8 @@ def reading_of(scan: Scan, utc_s: float) -> Reading:
     return Reading(utc_s, scan.time_monotonic_s, (east, south, west, zenith))
 
 
-def ask(
-    chosen: NamedLaw, mean: Irradiances | None, whereabouts: Whereabouts, utc_s: float, *, sun_known: bool
+def ask_law(
+    chosen: NamedLaw, mean: Irradiances | None, whereabouts: PoseAndTarget, utc_s: float, *, sun_known: bool
 ) -> LawAnswer:
     """Ask a law where the tracker is to be, by the window's mean at this UTC [s]."""
     answer = aim(chosen.law, mean, whereabouts.heading, utc_s, sun_known=sun_known)
@@ -264,16 +264,16 @@ def ask(
     return LawAnswer(answer, Target(answer.target.a_deg, answer.target.b_deg, why))
 
 
-def foresee(
+def preview_decision(
     chosen: NamedLaw,
     mean: Irradiances | None,
-    whereabouts: Whereabouts,
+    whereabouts: PoseAndTarget,
     utc_s: float,
     deadband_deg: float,
     *,
     sun_known: bool,
     may_move: bool,
-) -> Foresight | None:
+) -> DecisionPreview | None:
     """Return what a law would say at a later UTC [s] by the present readings; None where it cannot be asked.
 
     Without `may_move` no move is foreseen. A copy of the law is asked: a look ahead must not change what the law
@@ -281,11 +281,13 @@ def foresee(
     """
     try:
         asked = NamedLaw(chosen.name, copy.deepcopy(chosen.law))
-        answer = ask(asked, mean, whereabouts, utc_s, sun_known=sun_known)
+        answer = ask_law(asked, mean, whereabouts, utc_s, sun_known=sun_known)
     except Exception:
         log.debug("the law %s cannot be asked ahead", chosen.name, exc_info=True)
         return None
-    return Foresight(chosen.name, answer.target, may_move and answer.worth_moving(whereabouts.heading, deadband_deg))
+    return DecisionPreview(
+        chosen.name, answer.target, may_move and answer.worth_moving(whereabouts.heading, deadband_deg)
+    )
 
 
 def _target_to_stay(pose: Pose | None, why: str) -> Target:
@@ -301,7 +303,9 @@ def aim(law: Law, mean: Irradiances | None, heading: Angles | None, utc_s: float
     return checked_aim(law.aim(Moment(utc_s, faces, heading, sun_known)), law.limits)
 
 
-def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> Pointing:
+def build_pointing(
+    settings: Settings, utc_s: float, folder: StateFolder, common: SharedCache | None = None
+) -> Pointing:
     """Build the law of the settings and its fallback; raises `UserError` for a law that cannot be used."""
     file = LawFile(folder)
     tracker = _tracker_facts(settings, utc_s, file, common)
@@ -313,16 +317,16 @@ def build_pointing(settings: Settings, utc_s: float, folder: StateFolder, common
     )
 
 
-def build_shadow(settings: Settings, utc_s: float, folder: StateFolder, common: Common | None = None) -> ShadowLaw:
+def build_shadow(settings: Settings, utc_s: float, folder: StateFolder, common: SharedCache | None = None) -> ShadowLaw:
     """Build the law of `law.shadow` with its parameters in the configuration; raises `UserError` if that fails."""
     name = settings.law.shadow
     file = LawFile(folder, f"shadow-{name}-learned.json")
-    beside = settings.model_copy(update={"law": LAW.rechosen(settings.law, name)})
+    beside = settings.model_copy(update={"law": LAW.with_driver(settings.law, name)})
     law = _build(beside, _tracker_facts(settings, utc_s, file, common), file)
     return ShadowLaw(NamedLaw(name, _checked(law, name, "law.shadow")), file)
 
 
-def _tracker_facts(settings: Settings, utc_s: float, file: LawFile, common: Common | None) -> TrackerFacts:
+def _tracker_facts(settings: Settings, utc_s: float, file: LawFile, common: SharedCache | None) -> TrackerFacts:
     return TrackerFacts(
         site=settings.site.place(),
         limits=settings.limits.limits(),
@@ -330,7 +334,7 @@ def _tracker_facts(settings: Settings, utc_s: float, file: LawFile, common: Comm
         decide_every_s=settings.windows.decide_every_s,
         utc_s=utc_s,
         kept=file.load(),
-        common=(common or Common()).laws,
+        common=(common or SharedCache()).laws,
         group=settings.rows.group(settings.site.latitude_deg),
     )
 

@@ -9,7 +9,7 @@ from weakref import WeakValueDictionary
 from daemon.base.clock import Clock
 from daemon.base.records import FACES, Irradiances, Quality, Scan
 from daemon.config.settings import Settings
-from daemon.tracker.modes import Data
+from daemon.tracker.modes import DataState
 from solar.laws.law import Law
 
 # Above this many times `safety.night_above_w_m2` a vertical face is lit by the sun. If the zenith face can be believed,
@@ -18,7 +18,7 @@ _SUNLIT_FACTOR = 10.0
 _LEAST_SHARE = 0.5
 
 
-class Common:
+class SharedCache:
     """What all trackers of one cube know alike, so that it is worked out only once.
 
     Attributes
@@ -60,7 +60,7 @@ class Readings:
     ----------
     newest
         The newest scan, good or bad.
-    good_s
+    newest_good_scan_s
         Monotonic time of the newest scan with as many good faces as the law needs.
     """
 
@@ -71,7 +71,7 @@ class Readings:
         sun_elevation_deg: Callable[[float], float],
         law: Law,
         unheard: Callable[[], str] = str,
-        common: Common | None = None,
+        common: SharedCache | None = None,
     ) -> None:
         self._safety = settings.safety
         self._minimum_coverage = settings.windows.minimum_coverage
@@ -80,18 +80,18 @@ class Readings:
         self._law = law
         self._unheard = unheard
         self._faces_needed = law.faces_needed
-        self._window = (common or Common()).window(settings)
+        self._window = (common or SharedCache()).window(settings)
         self._started_s = clock.monotonic()
         self._night = False
         self.newest: Scan | None = None
-        self.good_s = -math.inf
+        self.newest_good_scan_s = -math.inf
 
     def add(self, scan: Scan) -> None:
         """Take in a scan; its monotonic times are on our clock."""
         self.newest = scan
         self._window.add(scan)
         if sum(face.quality is Quality.OK for face in scan.faces) >= self._faces_needed:
-            self.good_s = scan.time_monotonic_s
+            self.newest_good_scan_s = scan.time_monotonic_s
 
     def forget(self) -> None:
         """Forget all readings until now: they may be older than they seem."""
@@ -101,29 +101,31 @@ class Readings:
         """Return the window's mean, or None while too many faces have nothing in it."""
         return self._window.mean(now_s, self._faces_needed)
 
-    def judge(self, now_s: float, mean: Irradiances | None, *, sun_known: bool = True) -> tuple[Data, str, str | None]:
+    def judge(
+        self, now_s: float, mean: Irradiances | None, *, sun_known: bool = True
+    ) -> tuple[DataState, str, str | None]:
         """Return what the data is good for, why, and why it counts as night (None by day).
 
         The zenith face tells night from day while it can be believed, with hysteresis; otherwise the ephemeris does.
         Without `sun_known` the clock is in doubt: the ephemeris is not used, and only light ends a night.
         """
         data, why = self._judge_data(now_s, mean)
-        seen = mean if data is Data.FRESH else None
+        seen = mean if data is DataState.FRESH else None
         night_why = self._judge_night(seen) if sun_known else self._judge_night_without_clock(seen)
         if night_why is None and seen is not None and self._too_dark(seen, sun_known=sun_known):
-            return Data.BAD, _why_too_dark(seen.zenith_w_m2, sun_known=sun_known), None
+            return DataState.BAD, _why_too_dark(seen.zenith_w_m2, sun_known=sun_known), None
         return data, why, night_why
 
-    def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[Data, str]:
-        age_s = now_s - self.good_s
+    def _judge_data(self, now_s: float, mean: Irradiances | None) -> tuple[DataState, str]:
+        age_s = now_s - self.newest_good_scan_s
         covered = mean is not None and mean.coverage >= self._minimum_coverage
         if age_s <= self._safety.scan_stale_s and covered:
             bad = self._bad_faces()
-            return Data.FRESH, f"the cube's readings are good{f', but not all of them{bad}' if bad else ''}"
-        since_s = now_s - max(self.good_s, self._started_s)
+            return DataState.FRESH, f"the cube's readings are good{f', but not all of them{bad}' if bad else ''}"
+        since_s = now_s - max(self.newest_good_scan_s, self._started_s)
         if since_s > self._safety.fallback_after_s:
-            return Data.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}{self._why_unheard()}"
-        return Data.WAITING, f"waiting for the cube's readings{self._why_unheard()}"
+            return DataState.BAD, f"no good scan for {since_s:.0f} s{self._bad_faces()}{self._why_unheard()}"
+        return DataState.WAITING, f"waiting for the cube's readings{self._why_unheard()}"
 
     def _why_unheard(self) -> str:
         why = self._unheard()

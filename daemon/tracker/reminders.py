@@ -9,7 +9,7 @@ from daemon.base.clock import Clock
 from daemon.base.records import Event, Mode, Record
 from daemon.config.sections import SiteSettings
 from daemon.motion.state import MotionState
-from daemon.tracker.modes import Data, Situation
+from daemon.tracker.modes import DataState, Situation
 from daemon.tracker.orders import RELEASE
 from daemon.tracker.wishes import Wish, Wishes
 from solar.ephemeris import DAY_S, SunDay, sun_day
@@ -85,26 +85,28 @@ class Reminders:
     def _watch_readings(self, mode: Mode, situation: Situation, now_s: float, *, sun_known: bool) -> None:
         """Raise that the law has no readings by day, also while something else decides where the tracker stands."""
         data = situation.data
-        if data is Data.FRESH or situation.night_why is not None:
+        if data is DataState.FRESH or situation.night_why is not None:
             self._unread_s = None
-        elif data is Data.BAD and self._unread_s is None:
+        elif data is DataState.BAD and self._unread_s is None:
             self._unread_s = now_s
         lasts = self._unread_s is not None and now_s - self._unread_s >= _WITHOUT_READINGS_S
         does = "tracking by the ephemeris" if sun_known else "standing, since the clock is in doubt too,"
         told = does if mode is Mode.FALLBACK else "no good readings"
         lasted, self._without_readings = self._without_readings, lasts
         # Otherwise leave the alarm as it is: after a restart nobody knows yet whether one that stood before is over.
-        if lasts or lasted or data is Data.FRESH:
+        if lasts or lasted or data is DataState.FRESH:
             text = f"{told} for a quarter of an hour: {situation.data_why}" if lasts else None
             self._alarms.set("no-readings", text)
 
     def watch_stow(self, missed_why: str | None, wishes: Wishes) -> None:
         """Raise that a person keeps the tracker from a stow that is wanted and not done; not in maintenance."""
-        stillness = wishes.stillness
-        if missed_why is None or stillness is None or wishes.maintenance is not None:
+        standstill_reason = wishes.standstill_reason
+        if missed_why is None or standstill_reason is None or wishes.maintenance is not None:
             self._alarms.set("stow-wanted", None)
         else:
-            self._alarms.set("stow-wanted", f"stow is wanted ({missed_why}), but the tracker is {stillness}; {RELEASE}")
+            self._alarms.set(
+                "stow-wanted", f"stow is wanted ({missed_why}), but the tracker is {standstill_reason}; {RELEASE}"
+            )
 
     def _remind_of_maintenance(self, wishes: Wishes) -> None:
         now_s, wish = self._clock.monotonic(), wishes.maintenance

@@ -34,7 +34,7 @@ class KeptSafety(BaseModel):
     since_utc: str
 
 
-class StormBefore(NamedTuple):
+class StowBeforeRestart(NamedTuple):
     """Why the tracker was stowed before a restart.
 
     Attributes
@@ -65,18 +65,18 @@ class SafetyFile:
         self._file = StateFile(folder, FILE_NAME, KeptSafety, log, "the storm")
         self._file.reserve()
 
-    def load(self) -> StormBefore | None:
+    def load(self) -> StowBeforeRestart | None:
         """Return why the tracker was stowed when the file was written, or None; an unreadable file counts as stow."""
         try:
             kept = self._file.load()
         except UnreadableStateError as error:
             log.warning("%s: it counts as stow", error)
             text = f"{error}: it is not known whether the tracker was stowed before the restart"
-            return StormBefore(text, {FILE_NAME: text}, None)
+            return StowBeforeRestart(text, {FILE_NAME: text}, None)
         if kept is None or not kept.stowing:
             return None
         reasons = "; ".join(dict.fromkeys(kept.stowing.values()))
-        return StormBefore(
+        return StowBeforeRestart(
             f"stowed before the restart, since {kept.since_utc}: {reasons}", kept.stowing, kept.since_utc
         )
 
@@ -129,7 +129,7 @@ class StowWatch:
                 source.resume(self._storm_before.text, clock.monotonic())
 
     @property
-    def watched(self) -> bool:
+    def has_sources(self) -> bool:
         """Whether there is any source at all."""
         return bool(self._sources)
 

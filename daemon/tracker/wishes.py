@@ -67,18 +67,18 @@ class Wish(BaseModel):
         return self.model_copy(update={"again_utc_s": None, "also": None})
 
     @property
-    def everybodys(self) -> tuple["Wish", ...]:
+    def all_requests(self) -> tuple["Wish", ...]:
         """The wish and the later requests for the same, the first in front."""
         return (self, *(self.also or ()))
 
-    def tells(self, why: str, by: str) -> bool:
+    def has_request(self, why: str, by: str) -> bool:
         """Whether this person has asked for it with this reason."""
-        return any((each.why, each.by) == (why, by) for each in self.everybodys)
+        return any((each.why, each.by) == (why, by) for each in self.all_requests)
 
     def joined_by(self, later: "Wish") -> "Wish":
         """Return this wish with a later one beside it: like padlocks on one switch, the first stays."""
         also = self.also or ()
-        if not self.tells(later.why, later.by):
+        if not self.has_request(later.why, later.by):
             also = (*also[: _MOST_LATER_REQUESTS - 1], later)
         return self.model_copy(update={"again_utc_s": later.since_utc_s, "also": also or None})
 
@@ -98,7 +98,7 @@ class Wish(BaseModel):
         return None if self.since_utc_s is None else iso_utc(self.since_utc_s)
 
     @property
-    def whence(self) -> str:
+    def origin_text(self) -> str:
         """By whom and since when, in words; empty where neither is known."""
         by = f" by {self.by}" if self.by else ""
         return by if self.since_utc_s is None else f"{by} since {_stamp(self.since_utc_s)}"
@@ -109,7 +109,7 @@ def _from_text(value: Any) -> Any:
     return {"why": value} if isinstance(value, str) else value
 
 
-Kept = Annotated[Wish | None, BeforeValidator(_from_text)]
+OptionalWish = Annotated[Wish | None, BeforeValidator(_from_text)]
 
 
 class Wishes(BaseModel):
@@ -117,22 +117,22 @@ class Wishes(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    maintenance: Kept = None
-    stop: Kept = None
-    buttons: Kept = None
-    stow: Kept = None
-    snow: Kept = None
-    hold: Kept = None
+    maintenance: OptionalWish = None
+    stop: OptionalWish = None
+    buttons: OptionalWish = None
+    stow: OptionalWish = None
+    snow: OptionalWish = None
+    hold: OptionalWish = None
 
     def describe(self, name: str) -> str | None:
         """Return one wish in words, such as ``stopped by ana@lab since 2022-10-12 10:00:03 UTC: repair``, or None."""
         wish: Wish | None = getattr(self, name)
         if wish is None:
             return None
-        return _EFFECT_WORDS[name] + "; also".join(f"{each.whence}: {each.why}" for each in wish.everybodys)
+        return _EFFECT_WORDS[name] + "; also".join(f"{each.origin_text}: {each.why}" for each in wish.all_requests)
 
     @property
-    def stillness(self) -> str | None:
+    def standstill_reason(self) -> str | None:
         """Why nothing at all may move, or None: the first of maintenance, a person's stop, a person at the buttons."""
         if self.maintenance is None and self.stop is None and self.buttons is None:
             return None
@@ -148,7 +148,7 @@ class Wishes(BaseModel):
         """Return why the service itself holds the tracker until a person has looked, in words, or None."""
         return self.describe("hold") if self.hold is not None and self.hold.by == PROGRAM else None
 
-    def later_than(self, utc_s: float) -> str | None:
+    def describe_newer_than(self, utc_s: float) -> str | None:
         """Return in words a wish that was made after an instant [s of UTC] and is in force, or None."""
         for name in type(self).model_fields:
             wish: Wish | None = getattr(self, name)
@@ -156,7 +156,7 @@ class Wishes(BaseModel):
                 return self.describe(name)
         return None
 
-    def not_in(self, shown: Mapping[str, str | None]) -> str | None:
+    def describe_unshown(self, shown: Mapping[str, str | None]) -> str | None:
         """Return in words a wish in force that was not shown, or was shown with another time, or None.
 
         Times are compared for equality: after a clock was set back, "later than" would hide new wishes for hours, or
@@ -168,7 +168,7 @@ class Wishes(BaseModel):
                 return self.describe(name)
         return None
 
-    def gone_in(self, later: "Wishes") -> Iterator[str]:
+    def describe_ended(self, later: "Wishes") -> Iterator[str]:
         """Yield in words each wish that stands here and has ended or been replaced in `later`."""
         for name in type(self).model_fields:
             text, after = self.describe(name), getattr(later, name)
@@ -176,7 +176,7 @@ class Wishes(BaseModel):
             if text is not None and (after is None or after.first != getattr(self, name).first):
                 yield text
 
-    def told_beside(self, now: "Wishes", said: str) -> str:
+    def replaced_note(self, now: "Wishes", said: str) -> str:
         """Return the end of an answer to a command: which wishes it replaced, or beside which stop it was noted.
 
         Empty for neither, and for a stop that the answer so far, `said`, already tells.
@@ -184,7 +184,7 @@ class Wishes(BaseModel):
         if self.stop is not None and now.stop is not None:
             stands = self.describe("stop") or ""
             return "" if stands in said or now.stop.also == self.stop.also else f"; also in force: {stands}"
-        ended = "; ".join(self.gone_in(now))
+        ended = "; ".join(self.describe_ended(now))
         return f"; this replaces: {ended}" if ended else ""
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from boot import probes
-from boot.host import ROOT, LeftOut, NotSeen, run
+from boot.host import ROOT, CheckFailed, CheckSkipped, run
 
 TOOLS = {"qemu-system-x86_64": "qemu-system-x86", "cpio": "cpio", "apt-get": "apt", "dpkg-deb": "dpkg"}
 KERNEL = "linux-image-cloud-amd64"
@@ -24,7 +24,7 @@ Answers = dict[str, dict[str, dict[str, object]]]
 """By unit, and by the beginning of the lines that the unit was without."""
 
 
-class Emulated:
+class EmulatedMachine:
     """A Debian of the cache, started once under qemu with copies of the units; their program tries what is refused.
 
     Parameters
@@ -39,7 +39,7 @@ class Emulated:
         self._cache = cache
         self._base = base
         self._answers: Answers = {}
-        self._failed: LeftOut | NotSeen | None = None
+        self._failed: CheckSkipped | CheckFailed | None = None
 
     def prepare(self) -> str:
         """Fetch and pack what the machine is started from, unless it is kept; whether it is needed shows later."""
@@ -47,7 +47,7 @@ class Emulated:
         with self._folder() as work:
             return f"{self._kernel(work).name} and {self._archive(work).name}"
 
-    def refuse_addresses(self, units: Mapping[str, str]) -> str:
+    def check_addresses(self, units: Mapping[str, str]) -> str:
         """See that units neither send to a foreign address nor hear one, and do both without their lines `IPAddress`.
 
         Parameters
@@ -59,24 +59,26 @@ class Emulated:
             whole, without = answers[""], answers[probes.ADDRESSES]
             heard = whole["heard"]
             if whole["foreign"] != _REFUSED:
-                raise NotSeen(f"{unit} sends to {probes.FOREIGN}: {whole['foreign']}; hears {heard}")
+                raise CheckFailed(f"{unit} sends to {probes.FOREIGN}: {whole['foreign']}; hears {heard}")
             if (whole["own"], heard) != ("allowed", [probes.OWN]):
-                raise NotSeen(f"{unit} hears {heard}, and not {probes.OWN} alone; sends to that: {whole['own']}")
+                raise CheckFailed(f"{unit} hears {heard}, and not {probes.OWN} alone; sends to that: {whole['own']}")
             if (without["foreign"], without["heard"]) != ("allowed", [probes.OWN, probes.FOREIGN]):
-                raise NotSeen(f"{unit} without IPAddressDeny is refused it as well: {without}")
+                raise CheckFailed(f"{unit} without IPAddressDeny is refused it as well: {without}")
         return (
             f"sending to {probes.FOREIGN}: {_REFUSED}, nothing is heard from there, {probes.OWN} is reached and heard;"
             f" without IPAddressDeny both are; {_names(units)}"
         )
 
-    def refuse_devices(self, units: Mapping[str, str]) -> str:
+    def check_devices(self, units: Mapping[str, str]) -> str:
         """See that units do not open a device that everybody may, and open it without their lines `Device`."""
         for unit, answers in self._look(units).items():
             whole, without = answers[""], answers[probes.DEVICES]
             if whole["device"] != _REFUSED:
-                raise NotSeen(f"{unit} opens {probes.DEVICE}, which everybody may: {whole['device']}")
+                raise CheckFailed(f"{unit} opens {probes.DEVICE}, which everybody may: {whole['device']}")
             if without["device"] != "allowed":
-                raise NotSeen(f"{unit} without DevicePolicy is refused {probes.DEVICE} as well: {without['device']}")
+                raise CheckFailed(
+                    f"{unit} without DevicePolicy is refused {probes.DEVICE} as well: {without['device']}"
+                )
         return f"opening {probes.DEVICE}: {_REFUSED}; without DevicePolicy it is allowed; {_names(units)}"
 
     def _look(self, units: Mapping[str, str]) -> Answers:
@@ -84,7 +86,7 @@ class Emulated:
         if self._failed is None and not self._answers:
             try:
                 self._answers = self._start(units)
-            except (LeftOut, NotSeen) as error:
+            except (CheckSkipped, CheckFailed) as error:
                 self._failed = error
         if self._failed is not None:
             raise self._failed
@@ -101,7 +103,7 @@ class Emulated:
             ended = "ended"
             try:
                 run(*_qemu(kernel, image, console))
-            except NotSeen as error:
+            except CheckFailed as error:
                 ended = str(error)
             return _read(console, ended)
 
@@ -117,8 +119,8 @@ class Emulated:
             return kernel
         try:
             _fetch_kernel(work)
-        except NotSeen as error:
-            raise LeftOut(f"no kernel for qemu can be had here: {' / '.join(str(error).splitlines())}") from None
+        except CheckFailed as error:
+            raise CheckSkipped(f"no kernel for qemu can be had here: {' / '.join(str(error).splitlines())}") from None
         (found,) = work.glob("boot/vmlinuz-*")
         return found.rename(kernel)
 
@@ -135,7 +137,7 @@ def _fetch_kernel(folder: Path) -> None:
     """Fetch the kernel's package and unpack it in a folder."""
     named = re.search(r"Depends: (linux-image-\S+)", run("apt-cache", "depends", KERNEL))
     if named is None:
-        raise NotSeen(f"apt knows of no kernel that {KERNEL} depends on")
+        raise CheckFailed(f"apt knows of no kernel that {KERNEL} depends on")
     run("apt-get", "--quiet", "download", named[1], cwd=folder)
     (package,) = folder.glob("*.deb")
     run("dpkg-deb", "--extract", package, folder)
@@ -143,10 +145,10 @@ def _fetch_kernel(folder: Path) -> None:
 
 def _need_tools() -> None:
     if platform.machine() != "x86_64":
-        raise LeftOut(f"this machine is {platform.machine()}, and qemu is tried with a kernel for amd64 only")
+        raise CheckSkipped(f"this machine is {platform.machine()}, and qemu is tried with a kernel for amd64 only")
     missing = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
     if missing:
-        raise LeftOut(f"qemu needs what is not installed: apt-get install {' '.join(missing)}")
+        raise CheckSkipped(f"qemu needs what is not installed: apt-get install {' '.join(missing)}")
 
 
 def _pack(folder: Path, archive: Path, unread: tuple[str, ...] = ()) -> None:
@@ -158,13 +160,13 @@ def _pack(folder: Path, archive: Path, unread: tuple[str, ...] = ()) -> None:
 
 def _guest(folder: Path, units: Mapping[str, str]) -> Path:
     """Write the files that the Debian lacks, and return the folder."""
-    names = {unit: {without: _name(unit, without) for without in probes.WITHOUT} for unit in units}
+    names = {unit: {without: _name(unit, without) for without in probes.OMITTED_LINE_PREFIXES} for unit in units}
     files = {
         "etc/machine-id": "0123456789abcdef0123456789abcdef\n",
         "etc/sysusers.d/heliocube.conf": (ROOT / "deploy/heliocube.sysusers.conf").read_text(encoding="utf-8"),
         "etc/systemd/system/probe.target": probes.TARGET,
         "etc/systemd/system/probe.service": probes.SERVICE,
-        "opt/guest.py": probes.guest(names),
+        "opt/guest.py": probes.guest_program(names),
         "opt/probe.py": probes.PROBE,
     }
     for unit, text in units.items():
@@ -198,18 +200,18 @@ def _qemu(kernel: Path, image: Path, console: Path) -> tuple[object, ...]:
 
 
 def _read(console: Path, ended: str) -> Answers:
-    """Return what the guest has said on its console; `LeftOut` where no guest has come as far as that."""
+    """Return what the guest has said on its console; `CheckSkipped` where no guest has come as far as that."""
     text = console.read_text(encoding="utf-8", errors="replace") if console.exists() else ""
     said = " / ".join(line.strip() for line in text.splitlines()[-3:])
     if f"{probes.MARK}begun" not in text:
-        raise LeftOut(f"no machine boots under qemu here ({ended}): {said}")
+        raise CheckSkipped(f"no machine boots under qemu here ({ended}): {said}")
     if (found := re.search(re.escape(probes.MARK) + r"(\{.*\})", text)) is None:
-        raise NotSeen(f"the machine under qemu {ended} without an answer: {said}")
+        raise CheckFailed(f"the machine under qemu {ended} without an answer: {said}")
     answers: Answers = json.loads(found[1])
     for unit, by_lines in answers.items():
         for without, answer in by_lines.items():
             if "error" in answer:
-                raise NotSeen(f"{_name(unit, without)} does not run under qemu: {answer['error']}")
+                raise CheckFailed(f"{_name(unit, without)} does not run under qemu: {answer['error']}")
     return answers
 
 

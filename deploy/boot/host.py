@@ -23,21 +23,21 @@ TOOLS = {
 """Programs, and the packages of Debian that have them."""
 
 
-class LeftOut(Exception):  # noqa: N818 -- nothing is wrong: this machine cannot show it
+class CheckSkipped(Exception):  # noqa: N818 -- nothing is wrong: this machine cannot show it
     """Nothing is wrong, but this machine cannot show it; the words say why."""
 
 
-class NotSeen(Exception):  # noqa: N818 -- what a point says when what it waits for does not come
+class CheckFailed(Exception):  # noqa: N818 -- what a point says when what it waits for does not come
     """A point is not as it should be; the words say what was seen."""
 
 
 def need_tools() -> None:
-    """Raise `LeftOut` unless this is root on a Linux with the tools."""
+    """Raise `CheckSkipped` unless this is root on a Linux with the tools."""
     if os.geteuid() != 0:
-        raise LeftOut("a boot needs root")
+        raise CheckSkipped("a boot needs root")
     missing = sorted({package for tool, package in TOOLS.items() if shutil.which(tool) is None})
     if missing:
-        raise LeftOut(f"a boot needs what is not installed: apt-get install {' '.join(missing)}")
+        raise CheckSkipped(f"a boot needs what is not installed: apt-get install {' '.join(missing)}")
 
 
 def run(*command: object, **options: object) -> str:
@@ -45,17 +45,17 @@ def run(*command: object, **options: object) -> str:
 
     Raises
     ------
-    NotSeen
+    CheckFailed
         It failed, or took longer than `PATIENCE_S`.
     """
     words = [str(part) for part in command]
     try:
         done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=PATIENCE_S, **options)  # type: ignore[call-overload]  # noqa: S603
     except subprocess.TimeoutExpired:
-        raise NotSeen(f"{' '.join(words)[:120]} took longer than {PATIENCE_S:g} s") from None
+        raise CheckFailed(f"{' '.join(words)[:120]} took longer than {PATIENCE_S:g} s") from None
     if done.returncode != 0:
         said = "\n".join((done.stdout + done.stderr).strip().splitlines()[-15:])
-        raise NotSeen(f"{' '.join(words)[:120]} ended with {done.returncode}: {said}")
+        raise CheckFailed(f"{' '.join(words)[:120]} ended with {done.returncode}: {said}")
     return str(done.stdout)
 
 
@@ -64,13 +64,13 @@ def wait(found: Callable[[], Found], what: Callable[[], str] | str, pause_s: flo
 
     Raises
     ------
-    NotSeen
+    CheckFailed
         With `what`, after `PATIENCE_S`.
     """
     deadline_s = time.monotonic() + PATIENCE_S
     while not (seen := found()):
         if time.monotonic() > deadline_s:
-            raise NotSeen(f"not within {PATIENCE_S:g} s: {what() if callable(what) else what}")
+            raise CheckFailed(f"not within {PATIENCE_S:g} s: {what() if callable(what) else what}")
         time.sleep(pause_s)
     return seen
 

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from boot.host import PATIENCE_S, LeftOut, NotSeen, own_cgroups, run, wait
+from boot.host import PATIENCE_S, CheckFailed, CheckSkipped, own_cgroups, run, wait
 
 FOREIGN = "203.0.113.5"
 """An address that the machine has and that is not of its own network: one that RFC 5737 has for documentation."""
@@ -39,7 +39,7 @@ class Machine:
         self._cgroups: list[Path] = []
 
     def boot(self) -> str:
-        """Boot and return how long it took in words; `LeftOut` where no container can boot."""
+        """Boot and return how long it took in words; `CheckSkipped` where no container can boot."""
         own_unit = ["--keep-unit"] if not Path("/run/systemd/system").is_dir() else []
         began_s = time.monotonic()
         self._cgroups = _make_cgroups(self._name) if own_unit else []
@@ -61,9 +61,9 @@ class Machine:
             )
         try:
             wait(self._is_up, "systemd in the tree does not run")
-        except NotSeen as error:
+        except CheckFailed as error:
             said = self._console.read_text(errors="replace").strip().splitlines()[-3:]
-            raise LeftOut(f"no container boots here ({error}): {' / '.join(said)}") from None
+            raise CheckSkipped(f"no container boots here ({error}): {' / '.join(said)}") from None
         took_s = time.monotonic() - began_s
         run("nsenter", "-t", self._leader, "-n", "ip", "address", "add", f"{FOREIGN}/32", "dev", "lo")
         return f"systemd {self.systemctl('--version').split()[1]} runs {took_s:.1f} s after its start"
@@ -71,16 +71,16 @@ class Machine:
     def _is_up(self) -> bool:
         assert self._nspawn is not None  # noqa: S101
         if self._nspawn.poll() is not None:
-            raise NotSeen("systemd-nspawn ended at once")
+            raise CheckFailed("systemd-nspawn ended at once")
         task = Path(f"/proc/{self._nspawn.pid}/task/{self._nspawn.pid}")
         children = (task / "children").read_text(encoding="ascii").split()
         self._leader = int(children[0]) if children else 0
         if not self._leader:
             return False
-        done = self.try_to("systemctl", "is-system-running")
+        done = self.run_unchecked("systemctl", "is-system-running")
         return done.stdout.strip() in {"running", "degraded"}
 
-    def try_to(self, *command: str, text: str | None = None) -> "subprocess.CompletedProcess[str]":
+    def run_unchecked(self, *command: str, text: str | None = None) -> "subprocess.CompletedProcess[str]":
         """Run a command inside, whatever comes of it."""
         inside = ["nsenter", "-t", str(self._leader), "-m", "-u", "-i", "-n", "-p", "-C"]
         # The machine must not see what the host's shell has set.
@@ -91,11 +91,11 @@ class Machine:
         )
 
     def run(self, *command: str, text: str | None = None) -> str:
-        """Run a command inside and return its standard output; `NotSeen` if it fails."""
-        done = self.try_to(*command, text=text)
+        """Run a command inside and return its standard output; `CheckFailed` if it fails."""
+        done = self.run_unchecked(*command, text=text)
         if done.returncode != 0:
             said = (done.stdout + done.stderr).strip()
-            raise NotSeen(f"{' '.join(command)[:120]} ended with {done.returncode}: {said}")
+            raise CheckFailed(f"{' '.join(command)[:120]} ended with {done.returncode}: {said}")
         return done.stdout
 
     def systemctl(self, *words: str) -> str:
@@ -121,7 +121,7 @@ class Machine:
         """Return the last lines that a unit has in the journal."""
         return self.run("journalctl", "--no-pager", "--output=cat", f"--unit={unit}", f"--lines={lines}").strip()
 
-    def entries(self, *words: str) -> list[dict[str, Any]]:
+    def journal_entries(self, *words: str) -> list[dict[str, Any]]:
         """Return entries of the journal, each with all its fields."""
         self.run("journalctl", "--sync")
         found = self.run("journalctl", "--no-pager", "--output=json", *words)

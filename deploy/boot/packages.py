@@ -6,7 +6,7 @@ import shutil
 import time
 from pathlib import Path
 
-from boot.host import ROOT, NotSeen, run, wait
+from boot.host import ROOT, CheckFailed, run, wait
 from boot.machine import Machine
 from boot.records import ROLES, Records
 from boot.restarts import Restarts
@@ -74,22 +74,22 @@ class Packages:
         self._tree.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._old}")
         wants = self._tree.root / "etc/systemd/system/multi-user.target.wants"
         if enabled := sorted(path.name for path in wants.glob("heliocube*")):
-            raise NotSeen(f"it starts by itself: {enabled}")
+            raise CheckFailed(f"it starts by itself: {enabled}")
         return f"{self._old}; nothing of it is enabled"
 
-    def note(self) -> None:
+    def save_prepared(self) -> None:
         """Write beside the tree what has been made, for a later run."""
         made = {"base": str(self._tree.base), "old": self._old, "new": self._new}
         (self._tree.root.parent / _NOTE).write_text(json.dumps(made), encoding="utf-8")
 
-    def noted(self, work: Path) -> bool:
+    def has_prepared(self, work: Path) -> bool:
         """Whether all has been made in a folder."""
         return (work / _NOTE).exists()
 
-    def adopt(self, work: Path) -> str:
+    def load_prepared(self, work: Path) -> str:
         """Take over what an earlier run has made and noted."""
         made = json.loads((work / _NOTE).read_text(encoding="utf-8"))
-        self._tree.place(work, Path(made["base"]))
+        self._tree.set_folders(work, Path(made["base"]))
         self._old, self._new = made["old"], made["new"]
         self._before = _files(self._tree.base)
         return f"{self._old} is installed, {self._new} lies beside it"
@@ -97,24 +97,24 @@ class Packages:
     def upgrade(self, machine: Machine, rig: Rig, records: Records, restarts: Restarts) -> str:
         """Put this commit's package over it at work: nothing moves, both roles come back, and no scan is lost."""
         before = {role: records.scans(role) for role in ROLES}
-        pose, began_s = rig.rest(), time.monotonic()
+        pose, began_s = rig.wait_until_at_rest(), time.monotonic()
         machine.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._new}")
         took_s = time.monotonic() - began_s
         self._see_running(machine, self._new)
-        held = restarts.hold_until_released(pose)
+        held = restarts.check_hold_until_released(pose)
         wait(lambda: self._caught_up(records), "the tracker's records after the upgrade")
-        return f"{took_s:.0f} s; {held}; {records.lose_no_scan(before)}"
+        return f"{took_s:.0f} s; {held}; {records.check_no_scan_lost(before)}"
 
-    def go_back(self, machine: Machine, rig: Rig, restarts: Restarts) -> str:
+    def check_rollback(self, machine: Machine, rig: Rig, restarts: Restarts) -> str:
         """Go back to the commit before in one command, see that nothing moves, and put this commit's package back."""
-        pose = rig.rest()
+        pose = rig.wait_until_at_rest()
         said = machine.run("heliocube", "rollback").strip().splitlines()
         self._see_running(machine, self._old)
-        held = restarts.hold_until_released(pose)
-        pose = rig.rest()
+        held = restarts.check_hold_until_released(pose)
+        pose = rig.wait_until_at_rest()
         machine.run("dpkg", "--force-unsafe-io", "--install", f"{PACKAGES}/{self._new}")
         self._see_running(machine, self._new)
-        restarts.hold_until_released(pose)
+        restarts.check_hold_until_released(pose)
         return f'"{said[-1]}"; {held}; and forward again'
 
     def _see_running(self, machine: Machine, package: str) -> None:
@@ -123,13 +123,13 @@ class Packages:
             machine.wait_active(unit)
             running = machine.run("cat", f"/proc/{machine.show(unit, 'MainPID')['MainPID']}/cmdline").partition("\0")[0]
             if f"/{package.split('_')[1]}/" not in running:
-                raise NotSeen(f"{unit} is {running}")
+                raise CheckFailed(f"{unit} is {running}")
 
     def _caught_up(self, records: Records) -> bool:
         sessions = {session for session, _ in records.scans("cube")}
         return {session for session, _ in records.scans("tracker")} == sessions
 
-    def pages(self, machine: Machine) -> str:
+    def check_manual_pages(self, machine: Machine) -> str:
         """See manual pages and completion where the shells look for them."""
         page = machine.root / "usr/share/man/man1/heliocube-stop.1.gz"
         words = machine.run(
@@ -139,7 +139,7 @@ class Packages:
         ).split()
         pages = list(page.parent.glob("heliocube*.1.gz"))
         if not page.exists() or "stop" not in words or "stow" not in words:
-            raise NotSeen(f"{len(pages)} pages; 'heliocube st' is completed to {words}")
+            raise CheckFailed(f"{len(pages)} pages; 'heliocube st' is completed to {words}")
         return f"{len(pages)} manual pages; 'heliocube st' is completed to {', '.join(words)}"
 
     def purge(self, machine: Machine) -> str:
@@ -148,12 +148,12 @@ class Packages:
         records = sorted((machine.root / "var/lib/heliocube").rglob("*.sqlite"))
         machine.run("dpkg", "--force-unsafe-io", "--purge", "heliocube")
         if running := machine.run("systemctl", "list-units", "--plain", "--no-legend", "heliocube*").strip():
-            raise NotSeen(f"still known to systemd: {running}")
+            raise CheckFailed(f"still known to systemd: {running}")
         left = {name for name in _files(self._tree.root) - self._before if not name.startswith(_LEAVES)}
         if ours := sorted(name for name in left if "heliocube" in name):
-            raise NotSeen(f"left: {', '.join(ours[:5])}")
+            raise CheckFailed(f"left: {', '.join(ours[:5])}")
         if gone := [path.name for path in records if not path.exists()]:
-            raise NotSeen(f"records are gone: {gone}")
+            raise CheckFailed(f"records are gone: {gone}")
         kept = sorted(path.name for path in (machine.root / "etc/heliocube").iterdir())
         return f"left are {len(records)} stores, the reports, and of /etc/heliocube {', '.join(kept)}"
 
@@ -170,5 +170,5 @@ def _git(*words: str) -> str:
         return ""
     try:
         return run("git", "-C", ROOT, "-c", f"safe.directory={ROOT}", *words).strip()
-    except NotSeen:
+    except CheckFailed:
         return ""

@@ -11,7 +11,7 @@ OWN = "127.0.0.1"
 DEVICE = "/dev/ttyS1"
 MARK = "heliocube-probe: "
 ADDRESSES, DEVICES = "IPAddress", "Device"
-WITHOUT = ("", ADDRESSES, DEVICES)
+OMITTED_LINE_PREFIXES = ("", ADDRESSES, DEVICES)
 """How the lines begin that each copy of a unit is without; the first copy is the unit as it is."""
 
 _PORT = 20599
@@ -71,7 +71,7 @@ print(json.dumps(answers), file=sys.stderr)
 """
 
 
-def guest(units: Mapping[str, Mapping[str, str]]) -> str:
+def guest_program(units: Mapping[str, Mapping[str, str]]) -> str:
     """Return the program of the machine's own unit: it adds the foreign address, starts units and says what they saw.
 
     Parameters

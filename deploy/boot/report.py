@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from boot.host import LeftOut, NotSeen
+from boot.host import CheckFailed, CheckSkipped
 
 
 class Report:
@@ -22,14 +22,14 @@ class Report:
         self._count = 0
         self._one = threading.Lock()
 
-    def point(self, name: str, see: Callable[[], str]) -> bool:
+    def run_check(self, name: str, see: Callable[[], str]) -> bool:
         """Look at one point, print it, and return whether it was as it should be."""
         began_s = time.monotonic()
         try:
             mark, seen = "ok", see()
-        except LeftOut as why:
+        except CheckSkipped as why:
             mark, seen = "left out", str(why)
-        except NotSeen as why:
+        except CheckFailed as why:
             mark, seen = "FAILED", str(why)
         with self._one:
             self.failed += mark == "FAILED"

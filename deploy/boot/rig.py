@@ -4,7 +4,7 @@ import json
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from boot.host import NotSeen, wait
+from boot.host import CheckFailed, wait
 from boot.machine import Machine
 
 PROGRAM = "/opt/heliocube/current/bin/heliocube"
@@ -14,7 +14,7 @@ BENCH = "/run/bench"
 WIND_TOPIC = "weather/roof"
 CALM_M_S, STORM_M_S = 3.0, 25.0
 
-BASIS = f"""
+BASE_CONFIG = f"""
 [site]
 latitude_deg = 30.0
 longitude_deg = 0.0
@@ -86,13 +86,13 @@ class Rig:
 
     def start_bench(self) -> str:
         """Start the bench and write what both services are configured with."""
-        self._machine.write("/etc/heliocube/basis.toml", BASIS, 0o644)
+        self._machine.write("/etc/heliocube/basis.toml", BASE_CONFIG, 0o644)
         self._machine.write("/etc/systemd/system/bench.service", _bench_unit())
         self._machine.systemctl("daemon-reload")
         self._machine.systemctl("start", "bench.service")
         written = f"{BENCH}/heliocube.toml"
         text = wait(
-            lambda: self._machine.try_to("cat", written).stdout,
+            lambda: self._machine.run_unchecked("cat", written).stdout,
             lambda: f"the bench is ready; {self._machine.journal('bench.service', 8)}",
         )
         self._machine.write("/etc/heliocube/tracker.toml", text, 0o640)
@@ -101,17 +101,17 @@ class Rig:
         self._machine.run("systemd-tmpfiles", "--create", "heliocube.conf")
         return f"ready; both roles are configured for {written}"
 
-    def bench(self) -> dict[str, Any]:
+    def read_bench_state(self) -> dict[str, Any]:
         """Return the truth of the bench."""
         found: dict[str, Any] = json.loads(self._machine.run(PROGRAM, "bench-ctl", BENCH, "state"))
         return found
 
     def pose(self) -> tuple[float, float]:
         """Return where the axes truly stand, A and B [deg]."""
-        pose = self.bench()["pose"]
+        pose = self.read_bench_state()["pose"]
         return pose["a_deg"], pose["b_deg"]
 
-    def rest(self) -> tuple[float, float]:
+    def wait_until_at_rest(self) -> tuple[float, float]:
         """Wait until the axes stand still and return where; the end of a process does not end its move."""
         seen = [self.pose()]
 
@@ -122,13 +122,13 @@ class Rig:
         wait(stands, lambda: f"the axes at rest; they stand at {seen[-1]}", pause_s=0.5)
         return seen[-1]
 
-    def wind(self, speed_m_s: float) -> None:
+    def publish_wind(self, speed_m_s: float) -> None:
         """Let the sensor say once how strong the wind is."""
         self._machine.run("mosquitto_pub", "-h", "127.0.0.1", "-t", WIND_TOPIC, "-m", f"{speed_m_s:g}")
 
     def status(self) -> dict[str, Any]:
         """Return the tracker's state; empty while it cannot be reached."""
-        done = self._machine.try_to(PROGRAM, "status", "--json", "--config", "/etc/heliocube/tracker.toml")
+        done = self._machine.run_unchecked(PROGRAM, "status", "--json", "--config", "/etc/heliocube/tracker.toml")
         return json.loads(done.stdout) if done.returncode == 0 else {}
 
     def mode(self) -> tuple[str, str]:
@@ -145,8 +145,8 @@ class Rig:
 
         return wait(look, lambda: f"mode {wanted}; it is {self.mode()}")
 
-    def must_not_move(self, before: tuple[float, float]) -> None:
-        """Raise `NotSeen` if the axes stand elsewhere than they did."""
+    def check_not_moved(self, before: tuple[float, float]) -> None:
+        """Raise `CheckFailed` if the axes stand elsewhere than they did."""
         now = self.pose()
         if max(abs(old - new) for old, new in zip(before, now, strict=True)) > 0.1:
-            raise NotSeen(f"the axes moved from {before} to {now}")
+            raise CheckFailed(f"the axes moved from {before} to {now}")

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from boot.emulated import Emulated
-from boot.host import LeftOut, NotSeen
+from boot.emulated import EmulatedMachine
+from boot.host import CheckFailed, CheckSkipped
 from boot.machine import FOREIGN, Machine
 from boot.rig import TRACKER, UNITS
 
@@ -68,18 +68,18 @@ class Sandbox:
         For what the kernel enforces in no container here.
     """
 
-    def __init__(self, machine: Machine, emulated: Emulated) -> None:
+    def __init__(self, machine: Machine, emulated: EmulatedMachine) -> None:
         self._machine = machine
         self._emulated = emulated
 
-    def rate(self) -> str:
+    def check_exposure(self) -> str:
         """`systemd-analyze security` of the loaded units."""
         rated = {}
         for unit in UNITS:
             said = self._machine.run("systemd-analyze", "--no-pager", "security", unit).splitlines()[-1]
             level = re.search(r"exposure level.*: ([\d.]+)", said)
             if level is None or not float(level[1]) <= MOST_EXPOSED:
-                raise NotSeen(said)
+                raise CheckFailed(said)
             rated[unit] = level[1]
         return f"exposure {' and '.join(rated.values())} of 10, at most {MOST_EXPOSED}"
 
@@ -89,53 +89,55 @@ class Sandbox:
         self._machine.write("/opt/server.py", SERVER)
         self._machine.run("systemd-run", "--quiet", "--unit=probe-server", "python3", "/opt/server.py")
 
-    def refuse(self) -> str:
+    def check_access(self) -> str:
         """See that the tracker's unit cannot reach what it has no use for."""
         found = self._try("tracker", self._unit_text(TRACKER))
         if found["own"] != "allowed" or found["loopback"] != "allowed":
-            raise NotSeen(f"the service could not work: {found}")
+            raise CheckFailed(f"the service could not work: {found}")
         tried = ("etc", "program", "terminal", "home", "packet")
         if open_doors := [name for name in tried if found[name] == "allowed"]:
-            raise NotSeen(f"allowed: {', '.join(open_doors)}")
+            raise CheckFailed(f"allowed: {', '.join(open_doors)}")
         if found["program"] != "Read-only file system":
-            raise NotSeen(f"only rights and no read-only file system keep it from its own program: {found['program']}")
+            raise CheckFailed(
+                f"only rights and no read-only file system keep it from its own program: {found['program']}"
+            )
         return ", ".join(f"{name}: {found[name]}" for name in tried)
 
-    def refuse_addresses(self) -> str:
+    def check_addresses(self) -> str:
         """See that IPAddressDeny refuses an address outside private networks."""
         see = partial(self._refuse_by, "foreign", "IPAddressDeny=any", f"connecting to {FOREIGN}")
-        return self._here_or_emulated(see, self._emulated.refuse_addresses)
+        return self._here_or_emulated(see, self._emulated.check_addresses)
 
-    def refuse_devices(self) -> str:
+    def check_devices(self) -> str:
         """See that DevicePolicy refuses a device of a class that the unit does not name, whatever its mode."""
-        return self._here_or_emulated(self._refuse_device, self._emulated.refuse_devices)
+        return self._here_or_emulated(self._refuse_device, self._emulated.check_devices)
 
     def _here_or_emulated(self, here: Callable[[], str], emulated: Callable[[Mapping[str, str]], str]) -> str:
         try:
             return here()
-        except LeftOut as why:
+        except CheckSkipped as why:
             try:
                 seen = emulated({unit: self._unit_text(unit) for unit in UNITS})
-            except LeftOut as why_not:
-                raise LeftOut(f"{why}; {why_not}") from None
+            except CheckSkipped as why_not:
+                raise CheckSkipped(f"{why}; {why_not}") from None
             return f"under qemu, since {why}: {seen}"
 
     def _refuse_device(self) -> str:
-        made = self._machine.try_to("sh", "-c", f"test -e {DEVICE} || mknod -m 0666 {DEVICE} c 204 64")
+        made = self._machine.run_unchecked("sh", "-c", f"test -e {DEVICE} || mknod -m 0666 {DEVICE} c 204 64")
         if made.returncode != 0:
-            raise LeftOut(f"no device can be made in a container here: {made.stderr.strip()}")
+            raise CheckSkipped(f"no device can be made in a container here: {made.stderr.strip()}")
         return self._refuse_by("device", "DevicePolicy=closed", f"opening {DEVICE}")
 
     def _refuse_by(self, name: str, line: str, act: str) -> str:
         """Try without any line, with the unit's lines and, if that is allowed, with one line alone: is it enforced."""
         bare = "[Service]\n"
         if (free := self._try("free", bare)[name]) not in _OPEN:
-            raise LeftOut(f"nobody can do it in a container here, sandbox or not; {act}: {free}")
+            raise CheckSkipped(f"nobody can do it in a container here, sandbox or not; {act}: {free}")
         if (seen := self._try("tracker", self._unit_text(TRACKER))[name]) not in _OPEN:
             return f"{act}: {seen}; without the unit's lines it is allowed"
         if self._try("bare", f"{bare}{line}\n")[name] in _OPEN:
-            raise LeftOut(f"in a container here the kernel enforces {line} for no unit at all")
-        raise NotSeen(f"{act}: {seen}")
+            raise CheckSkipped(f"in a container here the kernel enforces {line} for no unit at all")
+        raise CheckFailed(f"{act}: {seen}")
 
     def _unit_text(self, unit: str) -> str:
         return self._machine.run("cat", self._machine.show(unit, "FragmentPath")["FragmentPath"])
@@ -150,6 +152,6 @@ class Sandbox:
         Path(self._machine.root / "etc/systemd/system" / probe).write_text("\n".join(lines) + "\n", encoding="utf-8")
         self._machine.systemctl("daemon-reload")
         self._machine.systemctl("start", probe)
-        said = [entry["MESSAGE"] for entry in self._machine.entries(f"_SYSTEMD_UNIT={probe}", "--lines=20")]
+        said = [entry["MESSAGE"] for entry in self._machine.journal_entries(f"_SYSTEMD_UNIT={probe}", "--lines=20")]
         found: dict[str, str] = json.loads(next(line for line in reversed(said) if str(line).startswith("{")))
         return found

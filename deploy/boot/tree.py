@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from boot.host import ROOT, LeftOut, NotSeen, own_cgroups, run
+from boot.host import ROOT, CheckFailed, CheckSkipped, own_cgroups, run
 
 DEBIAN = ("systemd", "systemd-sysv", "dbus", "python3", "python3-venv", "mosquitto", "mosquitto-clients")
 CHECKOUT, WHEELS, PACKAGES = "/srv/checkout", "/srv/wheels", "/srv/packages"
@@ -66,7 +66,7 @@ class Tree:
             work = Path(tempfile.mkdtemp(prefix="run-", dir=self.cache))
         else:
             work.mkdir()
-        self.place(work, self.base)
+        self.set_folders(work, self.base)
         fetched = self._fetch_wheels()
         self.packages.mkdir()
         run("cp", "-a", "--reflink=auto", self.base, self.root)
@@ -74,11 +74,11 @@ class Tree:
             (self.root / name.lstrip("/")).mkdir(parents=True)
         try:
             self.run("true")
-        except NotSeen as error:
-            raise LeftOut(f"no container runs here: {error}") from None
+        except CheckFailed as error:
+            raise CheckSkipped(f"no container runs here: {error}") from None
         return f"{made}, {fetched}"
 
-    def place(self, work: Path, base: Path) -> None:
+    def set_folders(self, work: Path, base: Path) -> None:
         """Say in which folder the tree is, and which Debian it is made from."""
         self._work, self.base = work, base
         self.root, self.packages = work / "root", work / "packages"
@@ -93,9 +93,9 @@ class Tree:
         # Without a named mirror mmdebstrap takes this machine's own.
         try:
             run("mmdebstrap", "--quiet", "--variant=minbase", f"--include={','.join(DEBIAN)}", suite, building)
-        except NotSeen as error:
+        except CheckFailed as error:
             shutil.rmtree(building, ignore_errors=True)
-            raise LeftOut(f"no Debian tree could be made here: {error}") from None
+            raise CheckSkipped(f"no Debian tree could be made here: {error}") from None
         building.rename(base)
         return base, f"{base.name} made anew"
 
@@ -119,10 +119,10 @@ class Tree:
     def _python_with_pip(self) -> Path:
         """Make an environment with pip, if possible of Debian's Python, for which the wheels are meant."""
         for python in self._pythons:
-            with contextlib.suppress(NotSeen, OSError):
+            with contextlib.suppress(CheckFailed, OSError):
                 run(python, "-m", "venv", "--clear", self._work / "pip")
                 return self._work / "pip" / "bin" / "python"
-        raise LeftOut("no Python here makes an environment with pip: apt-get install python3-venv")
+        raise CheckSkipped("no Python here makes an environment with pip: apt-get install python3-venv")
 
     def link_environments(self) -> None:
         """Let the build find what an earlier run has unpacked and compiled; their names say what is in them."""

@@ -15,8 +15,8 @@ from pydantic import AfterValidator, Field, WithJsonSchema
 from drivers.errors import DeadlineError, IdentityError, LinkLostError, ProtocolError, RefusedError
 from drivers.interfaces import CubeReading, FaceFlaw, FaceSample
 from drivers.modbus.client import ModbusBus
-from drivers.modbus.paths import ModbusLine, ModbusPath, TcpPath, endpoint
-from drivers.modbus.pdu import READ_HOLDING, number, words_for, write_registers
+from drivers.modbus.paths import ModbusLine, ModbusTransport, TcpTransport, endpoint
+from drivers.modbus.pdu import READ_HOLDING, decode_number, encode_number, write_registers
 from drivers.settings import CubeDriverSettings, CubeSurroundings, SettingsConflict, SettingsError
 
 DEVICE = "cube"
@@ -123,7 +123,7 @@ class LabjackCube:
         await self._bus.open(_OPEN_S)
         if await self._read(TEST) != TEST_WORDS:
             raise IdentityError(DEVICE, "the device that answers is not a LabJack, or sends its words in another order")
-        product, serial = number(await self._read(PRODUCT_ID), "float32"), await self._read(SERIAL_NUMBER)
+        product, serial = decode_number(await self._read(PRODUCT_ID), "float32"), await self._read(SERIAL_NUMBER)
         if product not in RANGES_V:
             raise IdentityError(DEVICE, f"is a LabJack of type {product:g}, but a T7 or T8 was expected")
         self._range_v = next(each for each in RANGES_V[int(product)] if each >= self._settings.range_v)
@@ -133,7 +133,7 @@ class LabjackCube:
         for setting in self._wanted:
             if not await self._is_kept(setting):
                 raise ProtocolError(DEVICE, f"did not keep the {setting.name}")
-        return f"LabJack T{product:g} no. {int(number(serial, 'uint32'))}"
+        return f"LabJack T{product:g} no. {int(decode_number(serial, 'uint32'))}"
 
     async def close(self) -> None:
         """Disconnect."""
@@ -157,13 +157,13 @@ class LabjackCube:
             raise ProtocolError(DEVICE, f"is a T7, which measures even inputs against odd ones, but {each} is odd")
         if product == T8 and each >= _INPUTS_OF_T8:
             raise ProtocolError(DEVICE, f"is a T8, which has the inputs 0 to {_INPUTS_OF_T8 - 1}, and not {each}")
-        yield _Setting(f"range of AIN{each}", AIN_RANGE + 2 * each, words_for(self._range_v, "float32"))
+        yield _Setting(f"range of AIN{each}", AIN_RANGE + 2 * each, encode_number(self._range_v, "float32"))
         index = self._settings.resolution_index
         yield _Setting(f"resolution index {index} of AIN{each}", AIN_RESOLUTION + each, (index,))
         if product == T7:
             yield _Setting(f"negative channel of AIN{each}", AIN_NEGATIVE + each, (each + 1,))
             # 0 lets the LabJack choose; what another program has left here may be too short for a sensor.
-            yield _Setting(f"settling time of AIN{each}", AIN_SETTLING_US + 2 * each, words_for(0.0, "float32"))
+            yield _Setting(f"settling time of AIN{each}", AIN_SETTLING_US + 2 * each, encode_number(0.0, "float32"))
 
     async def _write(self, setting: _Setting) -> None:
         try:
@@ -180,7 +180,7 @@ class LabjackCube:
         value_v = math.nan
         flaw: FaceFlaw | None = None
         try:
-            value_v, flaw = self._judged(number(await self._read(2 * each), "float32"))
+            value_v, flaw = self._judged(decode_number(await self._read(2 * each), "float32"))
         except RefusedError:
             flaw = "missing"
         return FaceSample(value_v, self._around.utc_s(), self._around.monotonic_s(), flaw)
@@ -200,14 +200,14 @@ class LabjackCube:
 def build(
     settings: LabjackSettings,
     surroundings: CubeSurroundings,
-    path: Callable[[str], ModbusPath] | None = None,
+    path: Callable[[str], ModbusTransport] | None = None,
 ) -> LabjackCube:
     """Return the cube, not yet connected, over the line of the settings unless a way is given."""
     where = None if settings.line is None else endpoint(settings.line)
     if path is not None:
         way = path(settings.line or "")
     elif where is not None:
-        way = TcpPath(DEVICE, where, surroundings.tap)
+        way = TcpTransport(DEVICE, where, surroundings.tap)
     else:
         raise SettingsError('instruments.cube.line is missing: name the LabJack, such as "tcp:192.168.1.60:502"')
     return LabjackCube(ModbusBus(way, DEVICE, 0.0, surroundings.monotonic_s, writes=True), settings, surroundings)

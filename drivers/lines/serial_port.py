@@ -46,7 +46,7 @@ class SerialPort:
         How long a read waits for something to come.
     dtr, rts
         Levels of the two modem lines from opening on. Linux raises both for an instant at every open, whatever is
-        wanted here. A port without such lines, a pseudo-terminal say, is used as it is: `has_lines` tells.
+        wanted here. A port without such lines, a pseudo-terminal say, is used as it is: `has_modem_lines` tells.
 
     Raises
     ------
@@ -83,7 +83,7 @@ class SerialPort:
             self._port.baudrate, self._port.parity, self._port.stopbits = baud_rate, form[1], int(form[2])
             self._port.open()
         except unusable as error:
-            raise cannot_open(device, path, error) from error
+            raise port_open_error(device, path, error) from error
         finally:
             if first is not None:
                 os.close(first)
@@ -143,7 +143,7 @@ class SerialPort:
         except self._gone_errors as error:
             raise LinkLostError(self._device, f"{self._path} is gone; has it been unplugged?") from error
 
-    def echoes(self) -> bool:
+    def has_echo(self) -> bool:
         """Tell whether somebody has switched the terminal's echo on again."""
         if sys.platform == "win32":
             return False
@@ -155,7 +155,7 @@ class SerialPort:
             raise LinkLostError(self._device, f"{self._path} is gone: {error}") from error
         return bool(local_modes & (termios.ECHO | termios.ICANON))
 
-    def has_lines(self) -> bool:
+    def has_modem_lines(self) -> bool:
         """Tell whether the port has modem lines, so that DTR and RTS are as they were asked for."""
         try:
             # Reading the other side's line fails where there are none; pyserial hides that when it sets its own.
@@ -168,7 +168,7 @@ class SerialPort:
         self._port.close()
 
 
-def cannot_open(device: str, path: str, error: BaseException) -> ConnectError:
+def port_open_error(device: str, path: str, error: BaseException) -> ConnectError:
     """Return the error for a port that cannot be opened, with the remedy."""
     number = getattr(error, "errno", None)
     text = str(error)
@@ -186,7 +186,7 @@ LONGEST_DRAIN_S = 3.0
 """How long data that nobody asked for is thrown away, until it counts as endless."""
 
 
-def keeps_sending(device: str) -> ConnectError:
+def unsolicited_data_error(device: str) -> ConnectError:
     """Return the error for a device that sends on and on although nobody has asked it."""
     return ConnectError(
         device, "the device there keeps sending unasked: is it the right instrument, at the right speed?"
@@ -204,7 +204,7 @@ def open_raw(device: str, path: str) -> int | None:
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     except OSError as error:
-        raise cannot_open(device, path, error) from error
+        raise port_open_error(device, path, error) from error
     try:
         # Another program that holds the port has set it up as it needs: do not touch it.
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -213,7 +213,7 @@ def open_raw(device: str, path: str) -> int | None:
         fcntl.flock(descriptor, fcntl.LOCK_UN)
     except OSError as error:
         os.close(descriptor)
-        raise cannot_open(device, path, error) from error
+        raise port_open_error(device, path, error) from error
     except termios.error as error:
         os.close(descriptor)
         raise ConnectError(device, f"{path} is not a serial port") from error

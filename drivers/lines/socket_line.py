@@ -9,7 +9,7 @@ import re
 import socket
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError, ProtocolError
-from drivers.lines.serial_port import LONGEST_DRAIN_S, keeps_sending
+from drivers.lines.serial_port import LONGEST_DRAIN_S, unsolicited_data_error
 from drivers.transcript import Tap, no_tap
 
 SOCKET_RESOURCE = re.compile(r"TCPIP\d*::(?P<host>[A-Za-z0-9._-]+)::(?P<port>\d{1,5})::SOCKET", re.IGNORECASE)
@@ -117,9 +117,9 @@ class SocketLine:
             return
         except OSError:
             raise self._closed_error() from None
-        raise keeps_sending(self._device)
+        raise unsolicited_data_error(self._device)
 
-    async def has_unasked(self) -> bool:
+    async def discard_unsolicited(self) -> bool:
         """Throw away what has come and was not read; return whether it was more than the end of a line."""
         reader = self._reader
         if reader is None:

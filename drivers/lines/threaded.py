@@ -39,7 +39,7 @@ class BlockingLine(Protocol):
     def drain(self, quiet_s: float) -> None:
         """Throw away what comes until nothing has come for a time [s]."""
 
-    def has_unasked(self) -> bool:
+    def discard_unsolicited(self) -> bool:
         """Throw away what has come and was not read; return whether it was more than the end of a line."""
 
     def close(self) -> None:
@@ -97,9 +97,9 @@ class ThreadedLine:
         """Throw away what comes."""
         await self._call(lambda line: line.drain(quiet_s), _DRAIN_S)
 
-    async def has_unasked(self) -> bool:
+    async def discard_unsolicited(self) -> bool:
         """Throw away what has come and was not read."""
-        return await self._call(lambda line: line.has_unasked(), _SEND_S)
+        return await self._call(lambda line: line.discard_unsolicited(), _SEND_S)
 
     async def _call(self, exchange: Callable[[BlockingLine], T], within_s: float) -> T:
         line = self._line

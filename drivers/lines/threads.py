@@ -20,7 +20,7 @@ T = TypeVar("T")
 _MOST_HUNG = 8
 
 
-def no_room(device: str) -> ConnectError:
+def thread_start_error(device: str) -> ConnectError:
     """Return the error for a thread that cannot be had now."""
     return ConnectError(
         device,
@@ -109,7 +109,7 @@ class DeviceThread:
         try:
             self._worker = _Worker(f"heliocube-{self._device}")
         except RuntimeError:
-            raise no_room(self._device) from None
+            raise thread_start_error(self._device) from None
         return self._worker
 
     def _abandon(self, worker: "_Worker", last: Callable[[], object] | None = None) -> None:

@@ -15,7 +15,13 @@ from dataclasses import dataclass
 from typing import Any, Literal, NoReturn
 
 from drivers.errors import ConnectError, DeadlineError, DriverMissingError, LinkLostError
-from drivers.lines.serial_port import LONGEST_DRAIN_S, cannot_open, keeps_sending, open_raw, terminal_errors
+from drivers.lines.serial_port import (
+    LONGEST_DRAIN_S,
+    open_raw,
+    port_open_error,
+    terminal_errors,
+    unsolicited_data_error,
+)
 from drivers.transcript import Tap, no_tap
 
 _ENDS = {"LF": "\n", "CR": "\r", "LFCR": "\n\r"}
@@ -120,9 +126,9 @@ class VisaLine:
         with contextlib.suppress(DeadlineError):
             while time.monotonic() < until_s:
                 self._read(quiet_s + self.transfer_s / 10)
-            raise keeps_sending(self._settings.device)
+            raise unsolicited_data_error(self._settings.device)
 
-    def has_unasked(self) -> bool:
+    def discard_unsolicited(self) -> bool:
         """Throw away what has come and was not read; return whether it was more than the end of a line.
 
         Over GPIB nothing comes that is not asked for.
@@ -238,7 +244,7 @@ class VisaLine:
     def _refuse_open(self, error: BaseException) -> NoReturn:
         settings = self._settings
         if isinstance(error, OSError):
-            raise cannot_open(settings.device, self._port, error) from error
+            raise port_open_error(settings.device, self._port, error) from error
         if isinstance(error, ValueError) and not self._serial:
             adapter = f" {settings.section}.prologix_port for a Prologix adapter, or" if settings.takes_adapter else ""
             message = (

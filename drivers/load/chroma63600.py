@@ -39,7 +39,7 @@ def dialect(channel: int) -> Dialect:
         identify_channel="CHAN:ID?",
         on="LOAD ON",
         off="LOAD OFF",
-        is_on="LOAD?",
+        on_query="LOAD?",
         mode="MODE CVH",
         mode_proof=("MODE?", "CVH"),
         settings=("CONF:VOLT:RANG HIGH", "VOLT:STAT:ILIM MAX"),

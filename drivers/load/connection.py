@@ -9,7 +9,7 @@ from drivers.lines.threaded import ThreadedLine
 from drivers.lines.visa import VisaLine, VisaSettings
 from drivers.load.sweep import SweepSettings
 from drivers.scpi import ScpiLine
-from drivers.settings import LoadSettings, PortPath, SettingsError, VisaResource, held_way
+from drivers.settings import LoadSettings, PortPath, SettingsError, VisaResource, exclusive_resource
 from drivers.transcript import Tap, no_tap
 
 _LEAST_VOLTAGE_FACTOR = 0.9
@@ -31,7 +31,7 @@ class VisaLoadSettings(LoadSettings):
 
     def exclusive(self) -> dict[str, str | None]:
         """Return the port of the adapter that the load is behind, or its VISA name if it has no adapter."""
-        return held_way(self.resource, self.prologix_port)
+        return exclusive_resource(self.resource, self.prologix_port)
 
 
 def load_line(settings: VisaLoadSettings, tap: Tap = no_tap) -> ScpiLine:

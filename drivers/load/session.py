@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from drivers.errors import ConnectError, DeviceError, IdentityError, ProtocolError
-from drivers.scpi import ERRORS, ScpiLine, ScpiSession, opening
+from drivers.scpi import ERROR_BITS, ScpiLine, ScpiSession, silence_as_connect_error
 
 DEVICE = "load"
 OVERFLOW = 9.9e37
@@ -30,7 +30,7 @@ class Dialect:
         The question that proves the choice, and its answer.
     identify_channel
         Asks for the module's identity; empty where there is only one.
-    on, off, is_on
+    on, off, on_query
         Switch the input; ask whether it is on.
     mode, mode_proof
         Set constant voltage; the question that proves it, and its answer in upper case.
@@ -57,7 +57,7 @@ class Dialect:
     identify_channel: str
     on: str
     off: str
-    is_on: str
+    on_query: str
     mode: str
     mode_proof: tuple[str, str]
     settings: tuple[str, ...]
@@ -73,13 +73,13 @@ class Dialect:
         """Maker and first model, for messages."""
         return f"{self.maker} {self.models[0]}".strip()
 
-    def knows(self, identity: str) -> bool:
+    def matches_identity(self, identity: str) -> bool:
         """Tell whether an answer to ``*IDN?`` is that of such a load."""
         fields = [field.strip().upper() for field in identity.split(",")]
         return len(fields) > 1 and fields[0].startswith(self.maker) and fields[1].startswith(self.models)
 
 
-class Measured(NamedTuple):
+class LoadMeasurement(NamedTuple):
     """Voltage and current, None where one of them is beyond the range, and the names of tripped protections."""
 
     point: tuple[float, float] | None
@@ -109,10 +109,10 @@ class LoadSession(ScpiSession):
 
     async def start(self) -> str:
         """Identify the load, switch its input off, configure it; return its identity."""
-        with opening(DEVICE, "this interface"), self.doubting():
-            await self.quieten()
+        with silence_as_connect_error(DEVICE, "this interface"), self.doubtful_exchange():
+            await self.discard_pending_output()
             identity = await self.ask("*IDN?")
-            if not self._dialect.knows(identity):
+            if not self._dialect.matches_identity(identity):
                 raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is not a {self._dialect.name}")
             self._is_identified = True
             await self.synchronise()
@@ -120,7 +120,7 @@ class LoadSession(ScpiSession):
 
     async def prepare(self) -> tuple[float, str]:
         """Put the load where a sweep begins; return the open-circuit voltage and the protections still latched."""
-        with self.doubting():
+        with self.doubtful_exchange():
             dialect = self._dialect
             await self._select()
             await self.write(dialect.off)
@@ -139,28 +139,28 @@ class LoadSession(ScpiSession):
 
     async def hold(self, voltage_v: float, *, switch_on: bool) -> None:
         """Hold the module at a voltage, and return when the load says that it has taken it."""
-        with self.doubting():
+        with self.doubtful_exchange():
             await self.write(self._dialect.level.format(voltage_v))
             if switch_on:
                 await self.write(self._dialect.on)
             # What was sent may lie in a buffer for longer than a voltage takes to settle.
             answer = await self.ask("*OPC?")
-            if self.whole("*OPC?", answer) != 1:
+            if self.parse_integer("*OPC?", answer) != 1:
                 raise ProtocolError(DEVICE, f"answers {answer[:80]!r} to *OPC?, not 1")
 
-    async def measure(self) -> Measured:
+    async def measure(self) -> LoadMeasurement:
         """Return voltage [V] and current [A], one straight after the other."""
-        with self.doubting():
+        with self.doubtful_exchange():
             return await self._measure()
 
     async def switch_off(self) -> None:
         """Switch the input off and ask whether it is."""
-        with self.doubting():
+        with self.doubtful_exchange():
             await self.write(self._dialect.off)
-            state = (await self.ask(self._dialect.is_on)).upper()
+            state = (await self.ask(self._dialect.on_query)).upper()
             if state not in _OFF:
                 raise ProtocolError(
-                    DEVICE, f"answers {state[:80]!r} to {self._dialect.is_on} after {self._dialect.off}"
+                    DEVICE, f"answers {state[:80]!r} to {self._dialect.on_query} after {self._dialect.off}"
                 )
 
     async def close(self) -> None:
@@ -171,7 +171,7 @@ class LoadSession(ScpiSession):
                     await self._line.interrupt()
                 await self.write(self._dialect.off)
                 # A line that is closed too soon may not have sent it yet.
-                await self.ask(self._dialect.is_on)
+                await self.ask(self._dialect.on_query)
         await self._line.close()
 
     async def _configure(self) -> str:
@@ -203,14 +203,14 @@ class LoadSession(ScpiSession):
 
     async def _prove_no_errors(self, what: str) -> None:
         events = await self.events()
-        if events & ERRORS:
+        if events & ERROR_BITS:
             raise ProtocolError(DEVICE, f"did not take {what}: *ESR? is {events}")
 
     async def _protection(self) -> str:
         query = self._dialect.protection
-        return self._tripped(self.whole(query, await self.ask(query)))
+        return self._tripped(self.parse_integer(query, await self.ask(query)))
 
-    async def _measure(self) -> Measured:
+    async def _measure(self) -> LoadMeasurement:
         if self._answers_in_one_line:
             numbers = self._numbers(await self.ask(self._dialect.measure))
         else:
@@ -223,7 +223,7 @@ class LoadSession(ScpiSession):
         if not 0.0 <= bits < _MOST_BITS:
             raise ProtocolError(DEVICE, f"answered {bits:g} where its protections were asked for")
         beyond = not (abs(voltage_v) < OVERFLOW and abs(current_a) < OVERFLOW)
-        return Measured(None if beyond else (voltage_v, current_a), self._tripped(int(bits)))
+        return LoadMeasurement(None if beyond else (voltage_v, current_a), self._tripped(int(bits)))
 
     def _numbers(self, reply: str) -> list[float]:
         """Return the numbers of a reply; none at all where one of its parts is not a number."""

@@ -97,7 +97,7 @@ class _Session(MeterSession):
         self._settings = settings
         self._readings = 0
 
-    def require(self, identity: str) -> None:
+    def require_identity(self, identity: str) -> None:
         """Raise `IdentityError` unless it is that of a Keithley 2000."""
         require_model(identity)
 
@@ -108,8 +108,8 @@ class _Session(MeterSession):
 
     async def read(self) -> float:
         """Return a fresh conversion [V]."""
-        await self.make_sure()
-        # As `doubting` does, at a tenth of its cost: a simulated day has 70,000 readings.
+        await self.ensure_synchronised()
+        # As `doubtful_exchange` does, at a tenth of its cost: a simulated day has 70,000 readings.
         self.in_doubt = True
         reply = await self.ask(":READ?")
         match = _READING.fullmatch(reply)
@@ -117,7 +117,7 @@ class _Session(MeterSession):
             raise ProtocolError(_DEVICE, f"answered {reply!r} where a reading was expected")
         self._readings += 1
         if self._readings % _READINGS_BETWEEN_LOOKS == 0:
-            await self.look()
+            await self.check_next_setting()
         self.in_doubt = False
         voltage_v, range_v = float(match[1]), self._settings.range_v
         if not abs(voltage_v) <= _OVER_RANGE_FACTOR * range_v:

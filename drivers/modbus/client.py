@@ -4,9 +4,9 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from drivers.errors import RefusedError, UnreachedError
-from drivers.modbus.paths import ModbusPath
-from drivers.modbus.pdu import READ_INPUT, ModbusRequest, exception_text, read_registers, registers_of
+from drivers.errors import RefusedError, UnavailableError
+from drivers.modbus.paths import ModbusTransport
+from drivers.modbus.pdu import READ_INPUT_REGISTERS, ModbusRequest, exception_text, read_registers, registers_of
 
 # The device or its gateway is busy, or the gateway does not reach the device: that counts as silence.
 _UNREACHED_CODES = (5, 6, 10, 11)
@@ -31,7 +31,7 @@ class ModbusBus:
 
     def __init__(
         self,
-        path: ModbusPath,
+        path: ModbusTransport,
         device: str,
         gap_s: float,
         monotonic_s: Callable[[], float],
@@ -62,7 +62,7 @@ class ModbusBus:
         Raises
         ------
         DeadlineError
-            No reply came in time; `UnreachedError` where the device or its gateway said so.
+            No reply came in time; `UnavailableError` where the device or its gateway said so.
         RefusedError
             The device answers that it cannot do that.
         LinkLostError
@@ -70,7 +70,7 @@ class ModbusBus:
         ValueError
             The question would write, and that was not allowed.
         """
-        if request.pdu[0] > READ_INPUT and not self._writes:
+        if request.pdu[0] > READ_INPUT_REGISTERS and not self._writes:
             raise ValueError(f"function {request.pdu[0]} writes, but this line is only for reading")
         async with self._line_lock:
             wait_s = self._quiet_since_s + self._gap_s - self._now()
@@ -82,7 +82,7 @@ class ModbusBus:
                 self._quiet_since_s = self._now()
         if text := exception_text(reply):
             if reply[1] in _UNREACHED_CODES:
-                raise UnreachedError(self._device, f"address {request.unit} {text}")
+                raise UnavailableError(self._device, f"address {request.unit} {text}")
             raise RefusedError(self._device, f"address {request.unit} {text}")
         return reply
 

@@ -8,14 +8,14 @@ import struct
 from typing import NamedTuple, Protocol
 
 from drivers.modbus.pdu import (
-    FAILED,
+    EXCEPTION_FLAG,
     READ_COILS,
     WRITE_COILS,
     WRITE_REGISTER,
     WRITE_REGISTERS,
     ModbusRequest,
-    belongs,
     reply_length,
+    reply_matches,
 )
 
 _TCP_HEAD = struct.Struct(">HHHB")
@@ -77,12 +77,12 @@ class RtuClient:
         function = request.pdu[0]
         for head, length in (
             (bytes((request.unit, function)), reply_length(request.pdu)),
-            (bytes((request.unit, function | FAILED)), 2),
+            (bytes((request.unit, function | EXCEPTION_FLAG)), 2),
         ):
             start = self._buffer.find(head)
             while start >= 0:
                 frame = self._buffer[start : start + length + 3]
-                if crc16(frame[:-2]) == frame[-2:] and belongs(request.pdu, frame[1:-2]):
+                if crc16(frame[:-2]) == frame[-2:] and reply_matches(request.pdu, frame[1:-2]):
                     self._request, self._buffer = None, b""
                     return frame[1:-2]
                 start = self._buffer.find(head, start + 1)
@@ -112,13 +112,13 @@ class TcpClient:
             request = self._request
             if request is None or transaction != self._number or reply.unit != request.unit:
                 continue
-            if belongs(request.pdu, reply.pdu):
+            if reply_matches(request.pdu, reply.pdu):
                 self._request = None
                 return reply.pdu
         return None
 
 
-class Asked(NamedTuple):
+class ReceivedRequest(NamedTuple):
     """A question as it came to a server; the number is 0 on a serial line."""
 
     request: ModbusRequest
@@ -128,13 +128,13 @@ class Asked(NamedTuple):
 class ServerFraming(Protocol):
     """The other end: finds questions, and puts replies into frames."""
 
-    def feed(self, data: bytes, now_s: float) -> list[Asked]:
+    def feed(self, data: bytes, now_s: float) -> list[ReceivedRequest]:
         """Take in what has come at a monotonic time [s] and return the questions that are complete.
 
         Raises `BrokenStreamError` where the connection has to be closed.
         """
 
-    def reply(self, asked: Asked, pdu: bytes) -> bytes:
+    def reply(self, asked: ReceivedRequest, pdu: bytes) -> bytes:
         """Return the frame of a reply."""
 
 
@@ -145,7 +145,7 @@ class RtuServer:
         self._buffer = b""
         self._last_s = 0.0
 
-    def feed(self, data: bytes, now_s: float) -> list[Asked]:
+    def feed(self, data: bytes, now_s: float) -> list[ReceivedRequest]:
         """Return the questions."""
         if now_s - self._last_s > _BROKEN_AFTER_S:
             self._buffer = b""
@@ -155,13 +155,13 @@ class RtuServer:
         while (length := _request_length(self._buffer)) is not None and length <= len(self._buffer):
             frame = self._buffer[:length]
             if crc16(frame[:-2]) == frame[-2:]:
-                found.append(Asked(ModbusRequest(frame[0], frame[1:-2])))
+                found.append(ReceivedRequest(ModbusRequest(frame[0], frame[1:-2])))
                 self._buffer = self._buffer[length:]
             else:
                 self._buffer = self._buffer[1:]
         return found
 
-    def reply(self, asked: Asked, pdu: bytes) -> bytes:
+    def reply(self, asked: ReceivedRequest, pdu: bytes) -> bytes:
         """Return the frame of a reply."""
         frame = bytes((asked.request.unit,)) + pdu
         return frame + crc16(frame)
@@ -173,16 +173,16 @@ class TcpServer:
     def __init__(self) -> None:
         self._buffer = b""
 
-    def feed(self, data: bytes, now_s: float) -> list[Asked]:  # noqa: ARG002 - TCP knows where a frame ends
+    def feed(self, data: bytes, now_s: float) -> list[ReceivedRequest]:  # noqa: ARG002 - TCP knows where a frame ends
         """Return the questions."""
         self._buffer += data
         found = []
         while (taken := _tcp_taken(self._buffer)) is not None:
             transaction, request, self._buffer = taken
-            found.append(Asked(request, transaction))
+            found.append(ReceivedRequest(request, transaction))
         return found
 
-    def reply(self, asked: Asked, pdu: bytes) -> bytes:
+    def reply(self, asked: ReceivedRequest, pdu: bytes) -> bytes:
         """Return the frame of a reply."""
         return _tcp_frame(asked.transaction, ModbusRequest(asked.request.unit, pdu))
 

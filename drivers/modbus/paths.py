@@ -18,7 +18,7 @@ from drivers.lines.serial_port import SerialForm, SerialPort
 from drivers.lines.threads import DeviceThread
 from drivers.modbus.framing import BrokenStreamError, ClientFraming, RtuClient, TcpClient
 from drivers.modbus.pdu import ModbusRequest
-from drivers.settings import check_host, stable_port, text_of
+from drivers.settings import check_host, stable_port, text_schema
 from drivers.transcript import Tap, no_tap
 
 _NETWORK = re.compile(r"(?P<kind>tcp|rtu-over-tcp):(?P<host>[A-Za-z0-9._-]+|\[[0-9A-Fa-f:]+\]):(?P<port>\d{1,5})")
@@ -56,10 +56,10 @@ def _line_name(text: str) -> str:
     return text
 
 
-ModbusLine = Annotated[str, AfterValidator(_line_name), text_of("modbus-line")]
+ModbusLine = Annotated[str, AfterValidator(_line_name), text_schema("modbus-line")]
 
 
-class ModbusPath(Protocol):
+class ModbusTransport(Protocol):
     """Carries questions to devices and their replies back, one at a time."""
 
     async def open(self, within_s: float = _OPEN_S) -> None:
@@ -76,7 +76,7 @@ class ModbusPath(Protocol):
         """
 
 
-class SerialPath:
+class SerialTransport:
     """A serial port with RTU; it lives in a thread of its own.
 
     Parameters
@@ -143,7 +143,7 @@ def _allow_anything(_data: bytes) -> None:
     """Let every frame pass: `drivers.modbus.client.ModbusBus` decides which functions may be sent."""
 
 
-class TcpPath:
+class TcpTransport:
     """A connection over TCP.
 
     Parameters
@@ -243,16 +243,16 @@ class _Stream(asyncio.Protocol):
             self._reply.set_exception(ConnectionResetError())
 
 
-def path_to(
+def build_transport(
     device: str,
     line: str,
     baud_rate: int,
     form: SerialForm,
     monotonic_s: Callable[[], float],
     tap: Tap = no_tap,
-) -> ModbusPath:
+) -> ModbusTransport:
     """Return the way that a line's name says, not yet open; speed and form are those of a serial port."""
     where = endpoint(line)
     if where is None:
-        return SerialPath(device, line, baud_rate, form, monotonic_s, tap)
-    return TcpPath(device, where, tap)
+        return SerialTransport(device, line, baud_rate, form, monotonic_s, tap)
+    return TcpTransport(device, where, tap)

@@ -8,12 +8,12 @@ import struct
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-READ_COILS, READ_INPUTS, READ_HOLDING, READ_INPUT = 1, 2, 3, 4
+READ_COILS, READ_DISCRETE_INPUTS, READ_HOLDING, READ_INPUT_REGISTERS = 1, 2, 3, 4
 WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
-WRITES = (WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS)
-FAILED = 0x80
+WRITE_FUNCTIONS = (WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS)
+EXCEPTION_FLAG = 0x80
 MOST_REGISTERS = 125
-MOST_WRITTEN = 123
+MOST_REGISTERS_WRITTEN = 123
 MOST_BITS = 2000
 MOST_BITS_WRITTEN = 1968
 
@@ -74,27 +74,27 @@ def reply_length(request: bytes) -> int:
     """Return the length of the reply to a request, exceptions apart; 0 for a function that is not known here."""
     function = request[0]
     count = int.from_bytes(request[3:5], "big")
-    if function in (READ_COILS, READ_INPUTS):
+    if function in (READ_COILS, READ_DISCRETE_INPUTS):
         return 2 + (count + 7) // 8
-    if function in (READ_HOLDING, READ_INPUT):
+    if function in (READ_HOLDING, READ_INPUT_REGISTERS):
         return 2 + 2 * count
-    return 5 if function in WRITES else 0
+    return 5 if function in WRITE_FUNCTIONS else 0
 
 
-def belongs(request: bytes, reply: bytes) -> bool:
+def reply_matches(request: bytes, reply: bytes) -> bool:
     """Tell whether a reply can belong to a request, by its function, its length, or what it echoes."""
-    if len(reply) == 2 and reply[0] == request[0] | FAILED:
+    if len(reply) == 2 and reply[0] == request[0] | EXCEPTION_FLAG:
         return True
     if not reply or reply[0] != request[0] or len(reply) != reply_length(request):
         return False
-    if request[0] <= READ_INPUT:
+    if request[0] <= READ_INPUT_REGISTERS:
         return reply[1] == len(reply) - 2
     return reply == request[:5]
 
 
 def exception_text(reply: bytes) -> str:
     """Return in words why a device did not do what it was asked; empty for a reply that is none of that kind."""
-    if not reply[0] & FAILED:
+    if not reply[0] & EXCEPTION_FLAG:
         return ""
     return f"{_EXCEPTIONS.get(reply[1], 'refuses')} (exception {reply[1]})"
 
@@ -104,12 +104,12 @@ def registers_of(reply: bytes) -> tuple[int, ...]:
     return struct.unpack(f">{(len(reply) - 2) // 2}H", reply[2:])
 
 
-def words_of(kind: NumberType) -> int:
+def register_count(kind: NumberType) -> int:
     """Return how many registers a number of a type takes."""
     return struct.calcsize(f">{_FORMATS[kind]}") // 2
 
 
-def number(words: Sequence[int], kind: NumberType, order: WordOrder = "high-first") -> float:
+def decode_number(words: Sequence[int], kind: NumberType, order: WordOrder = "high-first") -> float:
     """Return the number in registers; NaN for a float that is infinite or none.
 
     Parameters
@@ -126,7 +126,7 @@ def number(words: Sequence[int], kind: NumberType, order: WordOrder = "high-firs
     return float(value) if math.isfinite(value) else math.nan
 
 
-def words_for(value: float, kind: NumberType, order: WordOrder = "high-first") -> tuple[int, ...]:
+def encode_number(value: float, kind: NumberType, order: WordOrder = "high-first") -> tuple[int, ...]:
     """Return the registers of a number; one that the type cannot hold becomes its nearest end."""
     form = _FORMATS[kind]
     if kind == "float32":

@@ -4,17 +4,17 @@ import struct
 from typing import Protocol
 
 from drivers.modbus.pdu import (
-    FAILED,
+    EXCEPTION_FLAG,
     ILLEGAL_FUNCTION,
     ILLEGAL_VALUE,
     MOST_BITS,
     MOST_BITS_WRITTEN,
     MOST_REGISTERS,
-    MOST_WRITTEN,
+    MOST_REGISTERS_WRITTEN,
     READ_COILS,
+    READ_DISCRETE_INPUTS,
     READ_HOLDING,
-    READ_INPUT,
-    READ_INPUTS,
+    READ_INPUT_REGISTERS,
     WRITE_COIL,
     WRITE_COILS,
     WRITE_REGISTER,
@@ -72,17 +72,17 @@ def answer(table: RegisterTable, pdu: bytes) -> bytes | None:
     try:
         return _answer(table, pdu)
     except RefusedRequestError as refused:
-        return bytes((pdu[0] | FAILED, refused.code))
+        return bytes((pdu[0] | EXCEPTION_FLAG, refused.code))
     except SilentError:
         return None
 
 
 def _answer(table: RegisterTable, pdu: bytes) -> bytes:
     function = pdu[0]
-    if function in (READ_COILS, READ_INPUTS):
+    if function in (READ_COILS, READ_DISCRETE_INPUTS):
         first, count = _start_and_count(pdu, MOST_BITS)
         return _packed(function, table.read_bits(function, first, count))
-    if function in (READ_HOLDING, READ_INPUT):
+    if function in (READ_HOLDING, READ_INPUT_REGISTERS):
         first, count = _start_and_count(pdu, MOST_REGISTERS)
         values = table.read(function, first, count)
         return struct.pack(f">BB{count}H", function, 2 * count, *values)
@@ -103,7 +103,7 @@ def _answer(table: RegisterTable, pdu: bytes) -> bytes:
 
 def _write_several(table: RegisterTable, pdu: bytes) -> None:
     bits = pdu[0] == WRITE_COILS
-    first, count = _start_and_count(pdu[:5], MOST_BITS_WRITTEN if bits else MOST_WRITTEN)
+    first, count = _start_and_count(pdu[:5], MOST_BITS_WRITTEN if bits else MOST_REGISTERS_WRITTEN)
     length = (count + 7) // 8 if bits else 2 * count
     _require(len(pdu) == 6 + length and pdu[5] == length)
     if bits:

@@ -17,7 +17,7 @@ from sim_drivers.bench.modbus_host import ModbusHost
 from sim_drivers.bench.positioner_host import PositionerHost
 from sim_drivers.bench.rotator_host import RotatorHost
 from sim_drivers.bench.scanner_host import ScannerHost
-from sim_drivers.bench.verbs import DEVICES, PYRANOMETER_CAN, VERBS
+from sim_drivers.bench.verbs import DEVICES, PYRANOMETER_ACTIONS, VERBS
 from sim_drivers.load.instrument import TRIPS
 from sim_drivers.pozsol.core import FAULTS
 from sim_drivers.rotctld.core import ROTATOR_FAULTS
@@ -224,7 +224,7 @@ class BenchControl:
     def pyranometer(self, face: str, what: str, value: str = "") -> None:
         """Let a sensor on Modbus do what a bad one does."""
         sensor: Any = self._sensors().sensors[FACES.index(_one_of(face, FACES))]
-        name = _one_of(what, tuple(can.partition(" ")[0] for can in PYRANOMETER_CAN))
+        name = _one_of(what, tuple(can.partition(" ")[0] for can in PYRANOMETER_ACTIONS))
         if name in ("silent", "speaks"):
             if value:
                 raise ValueError(f"{name} takes no value")

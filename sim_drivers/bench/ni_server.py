@@ -26,16 +26,16 @@ INVALID_DEVICE = -200220
 NO_SUCH_CHANNEL = -200170
 LINES_RESERVED = -200587
 INVALID_TASK = -200088
-TASK_RUNS = -200479
-TASK_RUNS_NOT = -200846
+TASK_RUNNING = -200479
+TASK_NOT_RUNNING = -200846
 TEXTS = {
     DEVICE_GONE: "The specified device is not present or is not active in the system.",
     INVALID_DEVICE: "Device identifier is invalid.",
     NO_SUCH_CHANNEL: "Physical channel specified does not exist on this device.",
     LINES_RESERVED: "Specified resource is reserved by another task.",
-    TASK_RUNS: "Specified operation cannot be performed while the task is running.",
+    TASK_RUNNING: "Specified operation cannot be performed while the task is running.",
     INVALID_TASK: "Task specified is invalid or does not exist.",
-    TASK_RUNS_NOT: "Write cannot be performed when the task is not started, or several samples are written at once.",
+    TASK_NOT_RUNNING: "Write cannot be performed when the task is not started, or several samples are written at once.",
 }
 
 _LOOPBACK = "127.0.0.1"
@@ -174,7 +174,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
         if match is None:
             await _fail(context, NO_SUCH_CHANNEL)
         if task.lines or task.runs:
-            await _fail(context, TASK_RUNS)
+            await _fail(context, TASK_RUNNING)
         if match[1] != DEVICE or not self.plugged:
             await _fail(context, INVALID_DEVICE)
         first = int(match[2])
@@ -221,7 +221,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
     async def WriteDigitalLines(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
         if len(request.write_array) != len(task.lines):
-            await _fail(context, TASK_RUNS_NOT)
+            await _fail(context, TASK_NOT_RUNNING)
         levels = zip(task.lines, request.write_array, strict=True)
         await self._write(task, sum(bool(level) << line for line, level in levels), request, context)
         return messages.WriteDigitalLinesResponse(samps_per_chan_written=1)
@@ -229,7 +229,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
     async def WriteDigitalU32(self, request: Any, context: Any) -> Any:
         task = await self._task(request, context)
         if len(task.channels) != 1 or len(request.write_array) != 1:
-            await _fail(context, TASK_RUNS_NOT)
+            await _fail(context, TASK_NOT_RUNNING)
         await self._write(task, request.write_array[0], request, context)
         return messages.WriteDigitalU32Response(samps_per_chan_written=1)
 
@@ -253,7 +253,7 @@ class NiServer(stubs.NiDAQmxServicer):  # type: ignore[misc]  # the shipped stub
 
     async def _write(self, task: _Task, bits: int, request: Any, context: Any) -> None:
         if not (task.runs or request.auto_start):
-            await _fail(context, TASK_RUNS_NOT)
+            await _fail(context, TASK_NOT_RUNNING)
         if self.delay_s:
             await asyncio.sleep(self.delay_s)
             if not task.valid:

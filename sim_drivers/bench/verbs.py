@@ -8,7 +8,7 @@ from sim_drivers.rotctld.core import ROTATOR_FAULTS
 
 DEVICES = ("positioner", "voltmeter", "multiplexer", "server", "load", "cube")
 """Everything that has a plug; the server is the NI gRPC server, not the device behind it."""
-PYRANOMETER_CAN = ("silent", "speaks", "delay S", "corrupt COUNT", "status BITS", "mode N", "address N")
+PYRANOMETER_ACTIONS = ("silent", "speaks", "delay S", "corrupt COUNT", "status BITS", "mode N", "address N")
 """What one sensor of a cube on Modbus can be made to do."""
 
 
@@ -37,7 +37,7 @@ VERBS = {
     "mux-line": Verb("BIT high|low|works", "let address line 0, 1 or 2 stick; works frees all"),
     "shade": Verb("FACE SHARE", "let only a share (0 to 1) of the light reach a face"),
     "sensor": Verb("FACE VOLT|works", "let a sensor give one voltage, whatever falls on it"),
-    "pyranometer": Verb("FACE WHAT [VALUE]", f"of a cube on Modbus: {', '.join(PYRANOMETER_CAN)}"),
+    "pyranometer": Verb("FACE WHAT [VALUE]", f"of a cube on Modbus: {', '.join(PYRANOMETER_ACTIONS)}"),
     "rotator": Verb("WHAT on|off", f"of a rotator: {', '.join(ROTATOR_FAULTS)}"),
     "turn": Verb("AZIMUTH ELEVATION", "turn the rotator [deg] as another client of its rotctld would"),
     "power-cycle": Verb("DEVICE [kept|lost]", "off and on; what the positioner's count does"),

@@ -6,7 +6,7 @@ from typing import Any
 
 from sim_drivers.load.dialects import DialectName
 from sim_drivers.load.instrument import LoadInstrument
-from sim_drivers.scpi import Parser, ScpiCommand, ScpiError, boolean, choice, integer, messages, number, spellings
+from sim_drivers.scpi import Parser, ScpiCommand, ScpiError, boolean, choice, integer, number, spellings, split_commands
 
 Step = Callable[[LoadInstrument, float], str | None]
 Program = tuple[Step, ...]
@@ -19,7 +19,7 @@ _CHROMA_MODULE = "CHROMA,63640-80-80,636400004321,1.05"
 
 def compile_line(line: str, make: DialectName) -> Program:
     """Return the steps of a line; the step of a command that is not understood raises `ScpiError`."""
-    found, code = messages(line)
+    found, code = split_commands(line)
     steps: list[Step] = []
     for message in found:
         step = _step(message, make)

@@ -34,7 +34,7 @@ class Source(Protocol):
         """Return the voltage [V] at a current."""
 
 
-class Held(NamedTuple):
+class OperatingPoint(NamedTuple):
     """What truly is at the terminals, and whether the set voltage was met."""
 
     voltage_v: float
@@ -100,14 +100,14 @@ class LoadInstrument:
         """Whether it would draw current: the input is on, in constant voltage, and no protection is latched."""
         return self.on and self.mode.startswith(("VOLT", "CV")) and not self.latched
 
-    def hold(self, light: SourceLight) -> Held:
+    def operating_point(self, light: SourceLight) -> OperatingPoint:
         """Return what is at the terminals while the load holds its voltage, or comes as near as it can."""
         held_v, most_a = max(self.level_v, self.rating.least_v), self.limit_a
         drawn_a = self.source.current(light, held_v)
         if not 0.0 <= drawn_a <= most_a:
             drawn_a = most_a if drawn_a > most_a else 0.0
             held_v = self.source.voltage(light, drawn_a)
-        return Held(held_v, drawn_a, abs(held_v - self.level_v) < 1e-6)
+        return OperatingPoint(held_v, drawn_a, abs(held_v - self.level_v) < 1e-6)
 
     def read(self, now: float) -> tuple[float, float]:
         """Measure voltage and current; `OVERFLOW` beyond what the load can measure."""
@@ -126,7 +126,7 @@ class LoadInstrument:
             self.trip("over-voltage")
         if not self.draws or now < self._dropped_until_s:
             return open_v, 0.0, True
-        voltage_v, current_a, regulated = self.hold(light)
+        voltage_v, current_a, regulated = self.operating_point(light)
         left_v = (open_v if self._settles_from_v is None else self._settles_from_v) - voltage_v
         left_v *= math.exp((self._changed_s - now) / SETTLING_S)
         if not abs(left_v) < _SETTLED_V:

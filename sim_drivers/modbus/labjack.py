@@ -18,7 +18,7 @@ from drivers.cube.labjack import (
     TEST_WORDS,
     UNIT,
 )
-from drivers.modbus.pdu import ILLEGAL_ADDRESS, ILLEGAL_VALUE, number, words_for
+from drivers.modbus.pdu import ILLEGAL_ADDRESS, ILLEGAL_VALUE, decode_number, encode_number
 from drivers.modbus.server import NoBits, RefusedRequestError
 
 BEST_INDEX = {T7: 12, T8: 16}
@@ -86,30 +86,30 @@ class SimulatedLabjack(NoBits):
         if len(known.get(register, ())) != len(values) or register in (TEST, PRODUCT_ID, SERIAL_NUMBER):
             raise RefusedRequestError(ILLEGAL_ADDRESS)
         if register >= AIN_SETTLING_US:
-            self._set_settling((register - AIN_SETTLING_US) // 2, number(values, "float32"))
+            self._set_settling((register - AIN_SETTLING_US) // 2, decode_number(values, "float32"))
         elif register >= AIN_RESOLUTION:
             _require(values[0] <= BEST_INDEX[self.product])
             self._resolution[register - AIN_RESOLUTION] = values[0]
         elif register >= AIN_NEGATIVE:
             self._set_negative(register - AIN_NEGATIVE, values[0])
         else:
-            ranges = {words_for(0.0, "float32"): RANGES_V[self.product][-1]}
-            ranges |= {words_for(each, "float32"): each for each in RANGES_V[self.product]}
+            ranges = {encode_number(0.0, "float32"): RANGES_V[self.product][-1]}
+            ranges |= {encode_number(each, "float32"): each for each in RANGES_V[self.product]}
             _require(values in ranges)
             self._range_v[(register - AIN_RANGE) // 2] = ranges[values]
 
     def _values(self, begin: int, end: int) -> Iterator[tuple[int, tuple[int, ...]]]:
         """Yield register and words of every value; of the inputs, those between two registers."""
         yield TEST, TEST_WORDS
-        yield PRODUCT_ID, words_for(self.product, "float32")
-        yield SERIAL_NUMBER, words_for(self.serial, "uint32")
+        yield PRODUCT_ID, encode_number(self.product, "float32")
+        yield SERIAL_NUMBER, encode_number(self.serial, "uint32")
         for each in range(len(self._range_v)):
-            yield AIN_RANGE + 2 * each, words_for(self._range_v[each], "float32")
+            yield AIN_RANGE + 2 * each, encode_number(self._range_v[each], "float32")
             yield AIN_NEGATIVE + each, (self._negative[each],)
             yield AIN_RESOLUTION + each, (self._resolution[each],)
-            yield AIN_SETTLING_US + 2 * each, words_for(self._settling_us[each], "float32")
+            yield AIN_SETTLING_US + 2 * each, encode_number(self._settling_us[each], "float32")
             if begin <= 2 * each < end:
-                yield 2 * each, words_for(self._measured(each), "float32")
+                yield 2 * each, encode_number(self._measured(each), "float32")
 
     def _set_negative(self, each: int, channel: int) -> None:
         if self.product == T7:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from drivers.modbus.framing import Asked, RtuServer, ServerFraming
+from drivers.modbus.framing import ReceivedRequest, RtuServer, ServerFraming
 from drivers.modbus.server import RegisterTable, answer
 
 # From the end of a question to the beginning of its answer.
@@ -73,7 +73,7 @@ class DeviceLineCore:
         self._replied_s = [at_s for at_s in self._replied_s if now < at_s + sensor.deaf_s]
         return not any(at_s <= now for at_s in self._replied_s)
 
-    def _answers(self, asked: Asked, now: float) -> list[tuple[float, bytes]]:
+    def _answers(self, asked: ReceivedRequest, now: float) -> list[tuple[float, bytes]]:
         replies = []
         for sensor in self.sensors:
             if sensor.address != asked.request.unit or sensor.silent or not self._is_heard_by(sensor, now):

@@ -11,8 +11,8 @@ from drivers.modbus.pdu import (
     ILLEGAL_FUNCTION,
     ILLEGAL_VALUE,
     READ_HOLDING,
-    READ_INPUT,
-    words_for,
+    READ_INPUT_REGISTERS,
+    encode_number,
 )
 from drivers.modbus.server import RefusedRequestError, SilentError
 
@@ -20,9 +20,9 @@ _HUKSEFLUX_MOST = 5
 _DELTA_OHM_BOOT_S = 10.0
 _SMP_CLEAR_ERROR, _SMP_VOID, _SMP_ERROR = 10, 1 << 0, 1 << 3
 _DELTA_OHM_NO_MEASUREMENT = 1 << 0
-_NO_NUMBER = words_for(math.nan, "float32")
+_NO_NUMBER = encode_number(math.nan, "float32")
 _DEAF_S = 0.03
-_BOTH_FUNCTIONS = (READ_HOLDING, READ_INPUT)
+_BOTH_FUNCTIONS = (READ_HOLDING, READ_INPUT_REGISTERS)
 
 
 class SimulatedPyranometer:
@@ -116,7 +116,7 @@ class SimulatedSmp(SimulatedPyranometer):
 
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return the registers that the manual has."""
-        value = words_for(w_m2 * 10.0**self.scale, "int16")[0]
+        value = encode_number(w_m2 * 10.0**self.scale, "int16")[0]
         measured = [self.kind, 100, self.mode, self.status, self.scale, value, value, 3, 248, 234, *[0] * 16]
         errors = [9 if self.status & _SMP_ERROR else 0, *[0] * 7, self.scale]
         return (
@@ -157,11 +157,11 @@ class SimulatedHukseflux(SimulatedPyranometer):
 
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return the registers that the manual has."""
-        irradiance = words_for(w_m2 * 100.0, "int32")
+        irradiance = encode_number(w_m2 * 100.0, "int32")
         letters = self.model.encode()
         model = [letters[2 * index] | letters[2 * index + 1] << 8 for index in range(5)]
         known = dict(enumerate((self.stored_address, 5, *irradiance, *irradiance, 2225, 1234, 100, 100, 0, 7000)))
-        known |= dict(enumerate((*model, 0, 0, 0, self.serial, *words_for(15.31, "float32"), 45), 32))
+        known |= dict(enumerate((*model, 0, 0, 0, self.serial, *encode_number(15.31, "float32"), 45), 32))
         return {self.base + register: value for register, value in known.items()}
 
     def read(self, function: int, register: int, count: int) -> tuple[int, ...]:
@@ -192,7 +192,7 @@ class SimulatedHuksefluxPv(SimulatedHukseflux):
 
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return both maps."""
-        return super().registers(w_m2) | {0: words_for(w_m2 * 10.0, "uint16")[0]}
+        return super().registers(w_m2) | {0: encode_number(w_m2 * 10.0, "uint16")[0]}
 
 
 class SimulatedApogee(SimulatedPyranometer):
@@ -200,8 +200,8 @@ class SimulatedApogee(SimulatedPyranometer):
 
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return the floats, and the same as integers times ten."""
-        floats = (*words_for(w_m2, "float32"), *words_for(w_m2 / 40.0, "float32"), *[0] * 8)
-        return dict(enumerate(floats)) | {40: words_for(w_m2 * 10.0, "int16")[0]}
+        floats = (*encode_number(w_m2, "float32"), *encode_number(w_m2 / 40.0, "float32"), *[0] * 8)
+        return dict(enumerate(floats)) | {40: encode_number(w_m2 * 10.0, "int16")[0]}
 
     def blind_registers(self) -> dict[int, int]:
         """Return a float that is no number."""
@@ -213,7 +213,7 @@ class SimulatedEko(SimulatedPyranometer):
 
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return the irradiance."""
-        return dict(enumerate((0, 0, *words_for(w_m2, "float32"))))
+        return dict(enumerate((0, 0, *encode_number(w_m2, "float32"))))
 
     def blind_registers(self) -> dict[int, int]:
         """Return a float that is no number."""
@@ -223,13 +223,13 @@ class SimulatedEko(SimulatedPyranometer):
 class SimulatedDeltaOhm(SimulatedPyranometer):
     """Delta OHM LPPYRA13, silent for ten seconds after power-up."""
 
-    functions = (READ_INPUT,)
+    functions = (READ_INPUT_REGISTERS,)
 
     def registers(self, w_m2: float) -> dict[int, int]:
         """Return irradiance and status."""
         if self.now_s - self._on_since_s < _DELTA_OHM_BOOT_S:
             raise SilentError
-        return {0: 0, 1: 250, 2: words_for(w_m2, "int16")[0], 3: self.status}
+        return {0: 0, 1: 250, 2: encode_number(w_m2, "int16")[0], 3: self.status}
 
     def blind_registers(self) -> dict[int, int]:
         """Return the registers with the bit that says that there is no measurement."""
@@ -273,11 +273,11 @@ class SimulatedMapped(SimulatedPyranometer):
             low, high = sorted((used.status_register, used.register_number))
             known = {**dict.fromkeys(range(low, high), 0), used.status_register: status}
         if used.serial_register is not None:
-            serial = words_for(self.serial, used.serial_type, used.word_order)
+            serial = encode_number(self.serial, used.serial_type, used.word_order)
             known |= dict(enumerate(serial, used.serial_register))
         if used.address_register is not None:
             known[used.address_register] = self.address
-        value = words_for(w_m2 / used.scale, used.number_type, used.word_order)
+        value = encode_number(w_m2 / used.scale, used.number_type, used.word_order)
         return known | dict(enumerate(value, used.register_number))
 
 

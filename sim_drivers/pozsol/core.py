@@ -132,7 +132,7 @@ class PositionerCore:
     def live_screens(self, now: float) -> bytes:
         """Return only what changes while axes move (both axes, supply, mode, status); cheaper than `screens`."""
         self.advance(now)
-        standstill = self._unit.standstill
+        standstill = self._unit.standstill_version
         if standstill is None or standstill != self._standstill:
             self._cached_live_screens, self._standstill = screens.live_screens(self.readout(now)), standstill
         return self._cached_live_screens
@@ -147,7 +147,7 @@ class PositionerCore:
         self.advance(now)
         return self._unit.changes
 
-    def course(self, name: AxisName, now: float) -> tuple[float, float]:
+    def position_and_destination(self, name: AxisName, now: float) -> tuple[float, float]:
         """Return position and destination [mm] that the unit shows of an axis, without the rest of the screen."""
         self.advance(now)
         return self._unit.axes[name].counted_mm(now), self._unit.destination(name, now)
@@ -196,9 +196,9 @@ class PositionerCore:
     def _execute(self, code: int, value: bytes, now: float) -> None:
         unit, letter = self._unit, value[:1].lower()
         if code in (Field.A_ANGLE, Field.B_ANGLE):
-            unit.point("a" if code == Field.A_ANGLE else "b", _number(value), now)
+            unit.go_to_angle("a" if code == Field.A_ANGLE else "b", _number(value), now)
         elif code in (Field.A_DESTINATION, Field.B_DESTINATION):
-            unit.go("a" if code == Field.A_DESTINATION else "b", _whole(value), now)
+            unit.go_to_position("a" if code == Field.A_DESTINATION else "b", _whole(value), now)
         elif code == Field.MODE and letter in (b"n", b"y"):
             unit.switch_tracking(letter == b"y", now)
         elif code == Field.ACTION:
@@ -219,7 +219,7 @@ class PositionerCore:
             axis, outwards = _JOG[letter]
             self._unit.jog(axis, outwards, now)
         else:
-            self._unit.act(now)
+            self._unit.note_action(now)
 
 
 def _number(value: bytes) -> float:

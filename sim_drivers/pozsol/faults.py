@@ -33,9 +33,9 @@ def inject(unit: PositionerUnit, fault: str, now: float, *, present: bool = True
     elif fault == "undervoltage":
         unit.set_supply(LOW_V if present else NOMINAL_V, now)
     elif fault == "own_tracking":
-        unit.modes.switch(present, now)
+        unit.modes.set_tracking(present, now)
     elif fault == "slave_mode":
-        unit.modes.lead(present, now)
+        unit.modes.set_led_by_master(present, now)
     elif fault == "slave_standby":
         unit.modes.slave = present
     elif fault == "re_reference":

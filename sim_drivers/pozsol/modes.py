@@ -44,19 +44,19 @@ class OwnModes:
         self._next_s = math.inf
 
     @property
-    def owns_targets(self) -> bool:
+    def ignores_host_targets(self) -> bool:
         """Whether targets of the host are ignored; a unit that a master leads takes them all the same."""
         return self.tracking and not self.slave
 
-    def switch(self, on: bool, now: float) -> None:
+    def set_tracking(self, on: bool, now: float) -> None:
         """Switch tracking, as code 56 does."""
         self.tracking = on
         self.restart(now)
 
-    def lead(self, present: bool, now: float) -> None:
+    def set_led_by_master(self, present: bool, now: float) -> None:
         """Let a master take the unit over and lead it, or let it go."""
         self.slave = self._is_led = present
-        self.switch(present, now)
+        self.set_tracking(present, now)
 
     def restart(self, now: float) -> None:
         """Start tracking anew if it is on; without a word of its master a slave stays where it is."""

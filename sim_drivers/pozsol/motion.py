@@ -7,7 +7,7 @@ from it once its reference is lost. The unit (:mod:`.unit`) decides what the axi
 import math
 from typing import Literal
 
-from sim_drivers.pozsol.profile import Profile, coast, drive_on, drive_to
+from sim_drivers.pozsol.profile import Profile, plan_coasting, plan_drive_to, plan_endless_drive
 from sim_drivers.pozsol.setup import AxisDrive, Mechanics
 
 HARD_STOP_MM = 1.0
@@ -108,7 +108,7 @@ class Axis:
         position = self.actuator.position_mm(angle_deg) if math.isfinite(angle_deg) else 0.0
         return int(max(position, 0.0)) if math.isfinite(position) else 0
 
-    def counts(self, way_mm: float) -> int:
+    def to_counts(self, way_mm: float) -> int:
         """Return a distance in whole impulses."""
         return round(way_mm * self.drive.counts_per_mm)
 
@@ -137,16 +137,16 @@ class Axis:
         if self._counts_impulses:
             still_s = max(still_s, profile.last_edge_s + EDGE_MEMORY_S)
         starts_s = profile.first_edge_s if self._counts_impulses else math.inf
-        low_s, high_s = profile.reaches(0.0, -1.0), profile.reaches(self.travel_mm, 1.0)
-        return still_s, self.fault_s, starts_s, profile.end_s, profile.crosses_s, self._passes_s, low_s, high_s
+        low_s, high_s = profile.time_of_reaching(0.0, -1.0), profile.time_of_reaching(self.travel_mm, 1.0)
+        return still_s, self.fault_s, starts_s, profile.end_s, profile.target_reached_s, self._passes_s, low_s, high_s
 
     @property
-    def crosses_s(self) -> float:
+    def target_reached_s(self) -> float:
         """When the motor reaches its target; infinite while it has none."""
-        return self._profile.crosses_s if self._profile and self.active else math.inf
+        return self._profile.target_reached_s if self._profile and self.active else math.inf
 
     @property
-    def rests_s(self) -> float:
+    def motion_end_s(self) -> float:
         """When its motion ends; -inf if it does not move."""
         return self._profile.end_s if self._profile else -math.inf
 
@@ -159,7 +159,7 @@ class Axis:
             return self._last_edge_s + PULSE_TIMEOUT_S
         return self._profile.last_edge_s + PULSE_TIMEOUT_S
 
-    def push(self, target_mm: float, now_s: float, *, outward: bool, brakes: bool = True) -> None:
+    def drive_towards(self, target_mm: float, now_s: float, *, outward: bool, brakes: bool = True) -> None:
         """Drive towards a target of the unit's count [mm], or past it; infinite for a motion without end."""
         starts = not (self.active and self.outward is outward)
         brakes = brakes and not self._hall_lost and math.isfinite(target_mm)
@@ -173,25 +173,25 @@ class Axis:
         here, velocity, side = self.true_mm(now_s), self.velocity_mm_s(now_s), 1.0 if outward else -1.0
         goal = target_mm + self._origin_mm + 0.5 / self.drive.counts_per_mm
         if brakes:
-            self._replace(drive_to(now_s, here, velocity, goal, self.drive, starts=starts), now_s)
+            self._replace(plan_drive_to(now_s, here, velocity, goal, self.drive, starts=starts), now_s)
         else:
-            profile = drive_on(now_s, here, velocity, side, self.drive)
+            profile = plan_endless_drive(now_s, here, velocity, side, self.drive)
             self._replace(profile, now_s)
-            self._passes_s = profile.reaches(goal + side / self.drive.counts_per_mm, side)
+            self._passes_s = profile.time_of_reaching(goal + side / self.drive.counts_per_mm, side)
 
-    def run_out(self, now_s: float) -> None:
+    def coast_to_stop(self, now_s: float) -> None:
         """Run out without a motor."""
         if self._profile:
             self._planned = None
-            self._replace(coast(now_s, self.true_mm(now_s), self.velocity_mm_s(now_s), self.drive), now_s)
+            self._replace(plan_coasting(now_s, self.true_mm(now_s), self.velocity_mm_s(now_s), self.drive), now_s)
 
-    def release(self, now_s: float) -> None:
+    def switch_off_motor(self, now_s: float) -> None:
         """Switch the motor off."""
         if self.active:
             # The unit adds up how long it has driven blind, with pauses or without.
             self._blind_s = now_s - self._last_edge_s if self._hall_lost else 0.0
             self.active = self.manual = False
-            self.run_out(now_s)
+            self.coast_to_stop(now_s)
 
     def freeze(self, now_s: float) -> None:
         """Stand still at once, as without power in a simulation that is switched off."""
@@ -207,7 +207,7 @@ class Axis:
             self._resume_count(now_s)
             self._last_edge_s, self._planned, self._blind_s = now_s, None, 0.0
 
-    def count(self, counting: bool, now_s: float) -> None:
+    def set_counting(self, counting: bool, now_s: float) -> None:
         """Begin or stop to count impulses: the unit counts those of one axis at a time."""
         if counting is not self._counting:
             self._freeze_count(now_s)

@@ -53,7 +53,7 @@ class Profile:
     ----------
     first_edge_s, last_edge_s
         Between them the Hall sensors tell of motion.
-    crosses_s
+    target_reached_s
         When the target is reached; infinite for a motion without one.
     cut
         It ends, at once, against a hard stop.
@@ -64,7 +64,7 @@ class Profile:
     end: float
     first_edge_s: float
     last_edge_s: float
-    crosses_s: float = math.inf
+    target_reached_s: float = math.inf
     cut: bool = False
 
     def at(self, time_s: float) -> tuple[float, float]:
@@ -78,13 +78,13 @@ class Profile:
 
     def cut_at(self, low: float, high: float) -> "Profile":
         """Return the motion as it ends, at once, where it would leave low..high outwards."""
-        met_s, limit = min((self.reaches(low, -1.0), low), (self.reaches(high, 1.0), high))
+        met_s, limit = min((self.time_of_reaching(low, -1.0), low), (self.time_of_reaching(high, 1.0), high))
         if met_s >= self.end_s:
             return self
         pieces = tuple(piece for piece in self.pieces if piece.start_s <= met_s)
         return replace(self, pieces=pieces, end_s=met_s, end=limit, last_edge_s=met_s, cut=True)
 
-    def reaches(self, limit: float, side: float) -> float:
+    def time_of_reaching(self, limit: float, side: float) -> float:
         """When the motion first comes to a position from within, going to `side` (-1 in, 1 out); infinite if never."""
         for index, piece in enumerate(self.pieces):
             end_s = self.pieces[index + 1].start_s if index + 1 < len(self.pieces) else self.end_s
@@ -94,7 +94,7 @@ class Profile:
         return math.inf
 
 
-def coast(start_s: float, position: float, velocity: float, drive: AxisDrive) -> Profile:
+def plan_coasting(start_s: float, position: float, velocity: float, drive: AxisDrive) -> Profile:
     """Plan how an axis runs out with its motor off."""
     rate = drive.speed_mm_s / drive.run_out_s
     duration = abs(velocity) / rate
@@ -106,12 +106,12 @@ def coast(start_s: float, position: float, velocity: float, drive: AxisDrive) ->
     )
 
 
-def drive_on(start_s: float, position: float, velocity: float, side: float, drive: AxisDrive) -> Profile:
+def plan_endless_drive(start_s: float, position: float, velocity: float, side: float, drive: AxisDrive) -> Profile:
     """Plan a motion to one side (-1 in, 1 out) that has no end of its own."""
     return _drive(start_s, position, velocity, position + side * _FAR_MM, drive, starts=False)
 
 
-def drive_to(
+def plan_drive_to(
     start_s: float, position: float, velocity: float, target: float, drive: AxisDrive, *, starts: bool = True
 ) -> Profile:
     """Plan a motion to `target` as the unit does it: braked close before it, at rest a little beyond.
@@ -130,7 +130,7 @@ def _drive(
     pieces: list[_Piece] = []
     first_s = start_s if velocity else start_s + _FIRST_EDGE_S
     if velocity * (target - position) < 0:
-        stop = coast(start_s, position, velocity, drive)
+        stop = plan_coasting(start_s, position, velocity, drive)
         pieces += stop.pieces
         start_s, position, velocity = stop.end_s, stop.end, 0.0
     distance, speed = abs(target - position), abs(velocity)
@@ -158,7 +158,7 @@ def _drive(
         end=target + side * beyond,
         first_edge_s=first_s,
         last_edge_s=last_s,
-        crosses_s=crosses_s,
+        target_reached_s=crosses_s,
     )
 
 

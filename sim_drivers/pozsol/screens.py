@@ -146,9 +146,9 @@ def _geometry(first: int, actuator: Mechanics) -> dict[int, str]:
     """
     if isinstance(actuator, SlewDrive):
         return {first: f"{actuator.low_deg + _HORIZON_DEG:.1f}"}
-    angle_deg = -actuator.apex_deg if actuator.raises else 180 - actuator.apex_deg
+    angle_deg = -actuator.apex_deg if actuator.extension_raises_angle else 180 - actuator.apex_deg
     sides = (actuator.stator_mm, actuator.arm_1_mm, actuator.arm_2_mm)
-    numbers = (*sides, 0.0, actuator.holder_mm, float(actuator.raises), angle_deg, 0.0)
+    numbers = (*sides, 0.0, actuator.holder_mm, float(actuator.extension_raises_angle), angle_deg, 0.0)
     return {first + offset: f"{number:.1f}" for offset, number in enumerate(numbers)}
 
 

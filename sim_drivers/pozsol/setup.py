@@ -21,7 +21,7 @@ class Actuator:
         The tracker's angle at the low and at the high end switch.
     holder_mm
         How far the holder sets the actuator off the line between its joints.
-    raises
+    extension_raises_angle
         Extension raises the tracker's angle; else it lowers it, and `low_deg` is the higher of the two.
     zero_offset_mm
         What the unit adds to every target, as its fields 192 and 193 have it.
@@ -35,13 +35,15 @@ class Actuator:
     low_deg: float
     high_deg: float
     holder_mm: float = 0.0
-    raises: bool = True
+    extension_raises_angle: bool = True
     zero_offset_mm: float = 0.0
     stator_mm: float = field(init=False, repr=False, compare=False)
     travel_mm: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not (self.arm_1_mm > 0 and self.arm_2_mm > 0 and (self.low_deg < self.high_deg) is self.raises):
+        if not (
+            self.arm_1_mm > 0 and self.arm_2_mm > 0 and (self.low_deg < self.high_deg) is self.extension_raises_angle
+        ):
             raise ValueError(f"an actuator needs arms longer than 0 and a low end where it is retracted, not {self}")
         if not (self._between_arms_deg(self.low_deg) > 0 and self._between_arms_deg(self.high_deg) < 180):
             raise ValueError(f"the triangle must stay between 0 and 180 deg over the whole travel, not {self}")
@@ -61,7 +63,7 @@ class Actuator:
         a, b = self.arm_1_mm, self.arm_2_mm
         cosine = (a * a + b * b - square) / (2 * a * b)
         beyond = math.degrees(math.acos(min(max(cosine, -1.0), 1.0))) - self.apex_deg
-        return beyond if self.raises else -beyond
+        return beyond if self.extension_raises_angle else -beyond
 
     def _length_mm(self, angle_deg: float) -> float:
         square = self._side_mm(angle_deg) ** 2 - self.holder_mm**2
@@ -73,7 +75,7 @@ class Actuator:
         return math.sqrt(max(a * a + b * b - 2 * a * b * cosine, 0.0))
 
     def _between_arms_deg(self, angle_deg: float) -> float:
-        return self.apex_deg + (angle_deg if self.raises else -angle_deg)
+        return self.apex_deg + (angle_deg if self.extension_raises_angle else -angle_deg)
 
 
 @dataclass(frozen=True, slots=True)

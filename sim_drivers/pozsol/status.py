@@ -66,7 +66,7 @@ def status_word(
 
 
 def _counts_to_go(axis: Axis, destination_mm: float, now: float) -> int:
-    return axis.counts(destination_mm - axis.counted_mm(now)) if axis.moving(now) else 0
+    return axis.to_counts(destination_mm - axis.counted_mm(now)) if axis.moving(now) else 0
 
 
 def _homing(axis: Axis, now: float) -> bool:

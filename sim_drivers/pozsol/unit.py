@@ -47,7 +47,7 @@ class PositionerUnit:
             "a": Axis(setup.a_actuator, setup.drive, setup.start.a_deg),
             "b": Axis(setup.b_actuator, setup.drive, setup.start.b_deg),
         }
-        self.axes["b"].count(False, now)
+        self.axes["b"].set_counting(False, now)
         self.modes = OwnModes(setup)
         self.was_reset = False
         self.supply = MotorSupply()
@@ -66,19 +66,19 @@ class PositionerUnit:
         while self.due_s <= now:
             self._run(self.due_s)
 
-    def point(self, name: AxisName, angle_deg: float, now: float) -> None:
+    def go_to_angle(self, name: AxisName, angle_deg: float, now: float) -> None:
         """Go to an angle, truncated to a whole unit of position and held in the unit's range."""
-        self.go(name, self.axes[name].position_of(angle_deg), now)
+        self.go_to_position(name, self.axes[name].position_of(angle_deg), now)
 
-    def go(self, name: AxisName, position: int, now: float) -> None:
+    def go_to_position(self, name: AxisName, position: int, now: float) -> None:
         """Go to a position in whole units."""
-        if not self.modes.owns_targets:
+        if not self.modes.ignores_host_targets:
             self._leave_manual()
             if not self.axes[name].ignores_targets:
                 self._aim(name, position, now)
         self.decide(now)
 
-    def act(self, now: float) -> None:
+    def note_action(self, now: float) -> None:
         """Take note of any action (code 57): unless it is a reference run, the unit soon stops what moves."""
         self._homing_ordered = False
         self._manual_s = now + MANUAL_POLLS * POLL_S
@@ -86,7 +86,7 @@ class PositionerUnit:
 
     def jog(self, name: AxisName, outwards: bool, now: float) -> None:
         """Drive towards an end for as long as this is repeated."""
-        self.act(now)
+        self.note_action(now)
         if not self.modes.tracking:
             self._set_manual(False)
             # The unit takes the end point of A for B as well; B's own range still holds.
@@ -95,7 +95,7 @@ class PositionerUnit:
 
     def home(self, name: AxisName, now: float) -> None:
         """Begin a reference run, which also clears the status."""
-        self.act(now)
+        self.note_action(now)
         self.clear(now)
         self._begin_homing(name, now)
         self.decide(now)
@@ -109,13 +109,13 @@ class PositionerUnit:
 
     def stop(self, now: float) -> None:
         """Switch both motors off and forget every target."""
-        self.act(now)
+        self.note_action(now)
         self._stop_all(now)
         self.decide(now)
 
     def switch_tracking(self, on: bool, now: float) -> None:
         """Switch the unit's own sun tracking; a running motor goes on."""
-        self.modes.switch(on, now)
+        self.modes.set_tracking(on, now)
         self.decide(now)
 
     def clear(self, now: float) -> None:
@@ -176,10 +176,10 @@ class PositionerUnit:
         return axis.target_mm
 
     @property
-    def standstill(self) -> int | None:
+    def standstill_version(self) -> int | None:
         """A number that stays the same while nothing has moved or changed; None while an axis moves."""
         a, b = self.axes.values()
-        return self.changes if a.rests_s == b.rests_s == -math.inf else None
+        return self.changes if a.motion_end_s == b.motion_end_s == -math.inf else None
 
     def axis_readout(self, name: AxisName, now: float) -> AxisReadout:
         """Return what the unit would print of an axis now."""
@@ -231,14 +231,14 @@ class PositionerUnit:
 
     def _run_timers(self, now: float) -> None:
         axis = self._axis
-        if axis.crosses_s <= now < self._braked_s == math.inf:
-            self._braked_s = max(now + BRAKING_S, axis.rests_s)
+        if axis.target_reached_s <= now < self._braked_s == math.inf:
+            self._braked_s = max(now + BRAKING_S, axis.motion_end_s)
         if self._braked_s <= now:
             self._end_braking(now)
         if self._idle_s <= now:
             self._idle_s, self._idled = math.inf, True
             axis.target_mm, axis.control = self.destination(self._chosen_name, now), "idle"
-            axis.release(now)
+            axis.switch_off_motor(now)
         if self._manual_s <= now:
             self._manual_s = math.inf
             if self._homing_ordered:
@@ -259,12 +259,12 @@ class PositionerUnit:
         axis = self._axis
         if axis.blocked:
             axis.target_mm, axis.control = axis.counted_mm(now), "idle"
-            axis.release(now)
+            axis.switch_off_motor(now)
         elif axis.low_closed(now) and axis.control == "home":
             self._finish_homing(axis, now)
         elif self._at_switch(axis, now):
             axis.target_mm, axis.control = axis.counted_mm(now), "stop"
-            axis.release(now)
+            axis.switch_off_motor(now)
         else:
             self._drive(axis, now)
         if self.button is None and any(one.manual and one.active for one in self.axes.values()):
@@ -289,7 +289,7 @@ class PositionerUnit:
     def _drive(self, axis: Axis, now: float) -> None:
         if self._braked_s < math.inf:
             return
-        way = axis.counts(self._way_to_go_mm(self._chosen_name, now))
+        way = axis.to_counts(self._way_to_go_mm(self._chosen_name, now))
         moving = self._any_moving(now)
         outward = way > 0
         if way and not (moving and axis.outward is not outward):
@@ -297,16 +297,16 @@ class PositionerUnit:
             other = self.axes["b" if self._chosen_name == "a" else "a"]
             if other.active:
                 # Both motors share a half bridge: the one that is switched on takes it from the other.
-                other.run_out(now)
+                other.coast_to_stop(now)
             target_mm = -math.inf if axis.control == "home" else axis.target_mm
             # With a button held it does not brake, and looks for its target from the other side then.
-            axis.push(target_mm, now, outward=outward, brakes=self.button is None)
+            axis.drive_towards(target_mm, now, outward=outward, brakes=self.button is None)
             return
         if axis.active and way:
             # It notices a target behind it, and drives on until it gives up.
-            axis.push(math.inf, now, outward=axis.outward)
+            axis.drive_towards(math.inf, now, outward=axis.outward)
         elif axis.active and self.button is None and axis.velocity_mm_s(now):
-            axis.run_out(now)
+            axis.coast_to_stop(now)
             self._braked_s = now + BRAKING_S
         if self._idle_s == math.inf and not self._idled:
             self._idle_s = now + IDLE_S
@@ -339,12 +339,12 @@ class PositionerUnit:
     def _stop_all(self, now: float) -> None:
         for axis in self.axes.values():
             axis.target_mm, axis.control = axis.counted_mm(now), "stop"
-            axis.release(now)
+            axis.switch_off_motor(now)
 
     def _end_braking(self, now: float) -> None:
         self._braked_s = math.inf
         self._axis.target_mm = self._axis.counted_mm(now)
-        self._axis.release(now)
+        self._axis.switch_off_motor(now)
         for axis in self.axes.values():
             axis.control = "stop"
 
@@ -352,9 +352,9 @@ class PositionerUnit:
         if name == self._chosen_name:
             return
         self._axis.target_mm = self.destination(self._chosen_name, now)
-        self._axis.count(False, now)
+        self._axis.set_counting(False, now)
         self._chosen_name = name
-        self._axis.count(True, now)
+        self._axis.set_counting(True, now)
         if self._braked_s < math.inf:
             self._braked_s = min(self._braked_s, now + 2 * POLL_S)
 

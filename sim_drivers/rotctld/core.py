@@ -52,7 +52,7 @@ class RotatorCore:
     def __init__(
         self, now_s: float, turns: RotatorRange | None = None, start: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        self.turns = turns or RotatorRange()
+        self.rotator_range = turns or RotatorRange()
         self.info, self.model = "Simulated rotator", 1
         self.step_deg = 0.01
         self.faults: set[str] = set()
@@ -61,7 +61,7 @@ class RotatorCore:
 
     def position(self, now_s: float) -> tuple[float, float]:
         """Return azimuth and elevation [deg] where it truly stands."""
-        way_deg = self.turns.speed_deg_per_s * max(0.0, now_s - self._began_s)
+        way_deg = self.rotator_range.speed_deg_per_s * max(0.0, now_s - self._began_s)
         azimuth_deg, elevation_deg = (
             begin + max(-way_deg, min(way_deg, end - begin)) for begin, end in zip(self._from, self._to, strict=True)
         )
@@ -79,9 +79,9 @@ class RotatorCore:
         """Start rotctld anew: the rotator stays where it is."""
         self.turn(*self.position(now_s), now_s)
 
-    def order(self, azimuth_deg: float, elevation_deg: float, now_s: float) -> int:
+    def set_target(self, azimuth_deg: float, elevation_deg: float, now_s: float) -> int:
         """Take a target; return rotctld's error number."""
-        turns = self.turns
+        turns = self.rotator_range
         if not (
             turns.azimuth_min_deg <= azimuth_deg <= turns.azimuth_max_deg
             and turns.elevation_min_deg <= elevation_deg <= turns.elevation_max_deg
@@ -194,7 +194,7 @@ def _set_position(core: RotatorCore, arguments: list[str], now_s: float) -> tupl
     if not (math.isfinite(azimuth_deg) and math.isfinite(elevation_deg)):
         # rotctld accepts such numbers; where a real rotator goes then is not known.
         return [], 0
-    return [], core.order(azimuth_deg, elevation_deg, now_s)
+    return [], core.set_target(azimuth_deg, elevation_deg, now_s)
 
 
 def _stop(core: RotatorCore, _arguments: list[str], now_s: float) -> tuple[_Lines, int]:
@@ -202,7 +202,7 @@ def _stop(core: RotatorCore, _arguments: list[str], now_s: float) -> tuple[_Line
 
 
 def _park(core: RotatorCore, _arguments: list[str], now_s: float) -> tuple[_Lines, int]:
-    return [], core.order(0.0, 0.0, now_s)
+    return [], core.set_target(0.0, 0.0, now_s)
 
 
 def _reset(_core: RotatorCore, _arguments: list[str], _now_s: float) -> tuple[_Lines, int]:
@@ -214,7 +214,7 @@ def _get_info(core: RotatorCore, _arguments: list[str], _now_s: float) -> tuple[
 
 
 def _dump_state(core: RotatorCore, _arguments: list[str], _now_s: float) -> tuple[_Lines, int]:
-    turns = core.turns
+    turns = core.rotator_range
     return [
         ("rotctld Protocol Ver: ", "1"),
         ("Rotor Model: ", str(core.model)),

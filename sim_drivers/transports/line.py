@@ -88,7 +88,7 @@ class InMemoryLine(Cabled):
         await asyncio.sleep(last_s + quiet_s - begun_s)
         self._require_open()
 
-    async def has_unasked(self) -> bool:
+    async def discard_unsolicited(self) -> bool:
         """Throw away what has come and was not read."""
         self._require_open()
         found = False

@@ -95,10 +95,10 @@ class InMemoryStream(Cabled):
         self._is_up = up
         self._is_open = self._is_open and up
 
-    def has_lines(self) -> bool:
+    def has_modem_lines(self) -> bool:
         """Tell that there are no modem lines."""
         return False
 
     def _take(self, screens: bytes, now_s: float) -> None:
-        self._table.take(TokenStream().cut(screens + b"$"), now_s)
+        self._table.take(TokenStream().feed_tokens(screens + b"$"), now_s)
         self._state = LinkState(self._table.snapshot())

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from sim_drivers.scpi import Parser, ScpiError, boolean, choice, integer, messages, number, spellings
+from sim_drivers.scpi import Parser, ScpiError, boolean, choice, integer, number, spellings, split_commands
 from sim_drivers.voltmeter.instrument import VoltmeterInstrument
 from sim_drivers.voltmeter.settings import PRESET, RANGES_V, RESET
 
@@ -45,7 +45,7 @@ TABLE: CommandTable = {}
 def compile_line(line: str, table: CommandTable = TABLE) -> tuple[Step, ...]:
     """Return what a line does, step by step; where it goes wrong the last step raises `ScpiError`."""
     steps: list[Step] = []
-    found, error = messages(line)
+    found, error = split_commands(line)
     for message in found:
         command = table.get(message.header, MeterCommand())
         build = (command.ask if message.query else command.act) or _undefined

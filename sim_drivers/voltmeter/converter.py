@@ -38,7 +38,7 @@ class Converter:
 
     Attributes
     ----------
-    stands_still
+    repeats_last_reading
         A fault: every reading is the last one, to the digit.
     """
 
@@ -48,7 +48,7 @@ class Converter:
         self._input_voltage = input_voltage
         self._random = random
         self._line_period_s = line_period_s
-        self.stands_still = False
+        self.repeats_last_reading = False
         self._last_reading: str | None = None
         self._noise: list[float] = []
         self.range_v = RANGES_V[-1]
@@ -76,7 +76,7 @@ class Converter:
 
     def convert(self, start_s: float) -> tuple[str, float]:
         """Return a reading that begins at `start_s`, and when it is done."""
-        if self.stands_still and self._last_reading is not None:
+        if self.repeats_last_reading and self._last_reading is not None:
             return self._last_reading, start_s + self.conversion_s
         self._last_reading, end_s = self._measure(start_s)
         return self._last_reading, end_s

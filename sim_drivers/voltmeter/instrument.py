@@ -63,7 +63,7 @@ class VoltmeterInstrument:
 
     def freeze(self, *, is_frozen: bool = True) -> None:
         """Let every reading be the last one, or measure again."""
-        self._converter.stands_still = is_frozen
+        self._converter.repeats_last_reading = is_frozen
 
     def press_range(self, range_v: float, now: float) -> None:
         """Choose a range at the front panel, which does nothing while the panel is locked out."""

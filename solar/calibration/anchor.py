@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from solar.calibration.level import Tie
+from solar.calibration.level import KnownResponse
 from solar.calibration.selection import CLEAR_WATER_CM, clear_sky_ghi
 from solar.ephemeris import Site, extraterrestrial_dni, solar_days, sun_direction
 from solar.frames import Array
@@ -46,7 +46,7 @@ _LOWEST_AOD, _HIGHEST_AOD = 0.01, 0.45
 _DEPTHS = 40
 
 
-class Anchor(NamedTuple):
+class ClearSkyResponse(NamedTuple):
     """Readings over truth.
 
     Attributes
@@ -64,7 +64,7 @@ class Anchor(NamedTuple):
     ratio_error: float
 
 
-def clear_sky_anchor(
+def fit_clear_sky_response(
     utc_s: Array,
     zenith_w_m2: Array,
     beam_w_m2: Array,
@@ -72,9 +72,9 @@ def clear_sky_anchor(
     *,
     model: SkyModel = "perez1990",
     water_cm: float = CLEAR_WATER_CM,
-    zenith: Tie | None = None,
-    vertical: Tie | None = None,
-) -> Anchor:
+    zenith: KnownResponse | None = None,
+    vertical: KnownResponse | None = None,
+) -> ClearSkyResponse:
     """Return the responses that a clear-sky model explains best, and what is known of them from elsewhere.
 
     Least squares of the two equations of this module, with the model of Ineichen (2008), Solar Energy 82, 758.
@@ -144,4 +144,4 @@ def clear_sky_anchor(
     covariance = np.linalg.inv(solved.jac.T @ solved.jac)[:2, :2]
     of_zenith, of_vertical = np.exp(solved.x[:2]).tolist()
     both = np.array([-1.0, 1.0])
-    return Anchor(of_zenith, of_vertical, *np.sqrt([*np.diag(covariance), both @ covariance @ both]).tolist())
+    return ClearSkyResponse(of_zenith, of_vertical, *np.sqrt([*np.diag(covariance), both @ covariance @ both]).tolist())

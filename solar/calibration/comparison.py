@@ -29,7 +29,7 @@ _LAG_STEPS = 6
 _SMOOTHED_STEPS = 4.0
 
 
-class Interval(NamedTuple):
+class ConfidenceInterval(NamedTuple):
     """An estimate and the half-width of its 95 % confidence interval, in one unit."""
 
     value: float
@@ -50,7 +50,7 @@ class SeriesGain:
         Which series were not dropped, shape (k,).
     """
 
-    gain_w_m2_per_mv: Interval
+    gain_w_m2_per_mv: ConfidenceInterval
     series_gains: Array
     series_utc_s: Array
     kept: NDArray[np.bool_]
@@ -137,10 +137,10 @@ def series_gain(
     _, daily = block_means(solar_days(middles[kept], longitude_deg), ratios[kept], 1.0)
     independent = daily if daily.size >= _LEAST_SERIES else ratios[kept]
     width = stats.t.ppf(0.975, independent.size - 1) * np.std(independent, ddof=1) / np.sqrt(independent.size)
-    return SeriesGain(Interval(float(ratios[kept].mean()), float(width)), ratios, middles, kept)
+    return SeriesGain(ConfidenceInterval(float(ratios[kept].mean()), float(width)), ratios, middles, kept)
 
 
-def fitted_offset(utc_s: Array, reference_w_m2: Array, voltage_mv: Array) -> Interval:
+def fitted_offset(utc_s: Array, reference_w_m2: Array, voltage_mv: Array) -> ConfidenceInterval:
     """Return the voltage [mV] at which a straight line through the readings reaches zero irradiance.
 
     V = V_0 + E / gain, for sensors whose nights were not recorded: the intercept V_0 of the least-squares line of
@@ -159,7 +159,7 @@ def fitted_offset(utc_s: Array, reference_w_m2: Array, voltage_mv: Array) -> Int
     if hours.size >= _LEAST_SERIES:
         each = np.array([np.polyfit(reference_w_m2[hour != one], voltage_mv[hour != one], 1)[-1:] for one in hours])
         half = max(half, stats.t.ppf(0.975, hours.size - 1) * jackknife_error(each)[0])
-    return Interval(float(line.intercept), float(half))
+    return ConfidenceInterval(float(line.intercept), float(half))
 
 
 def _change(values: Array, width: int) -> Array:

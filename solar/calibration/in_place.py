@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from solar.calibration.anchor import Anchor, clear_sky_anchor
+from solar.calibration.anchor import ClearSkyResponse, fit_clear_sky_response
 from solar.calibration.attitude import Attitude
-from solar.calibration.level import Level, ties
-from solar.calibration.selection import CLEAR_WATER_CM, Stability, block_means, clear_and_stable
-from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, Shape, fit_shape
+from solar.calibration.level import LevelReference, known_responses
+from solar.calibration.selection import CLEAR_WATER_CM, StabilityCriteria, block_means, clear_and_stable
+from solar.calibration.shape import COSINE_ERROR, HIGHEST_DIFFUSE, RelativeCalibration, fit_relative_calibration
 from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import FACE_NORMALS, Array
 from solar.skies.sky import SkyModel
@@ -84,7 +84,7 @@ class FieldCalibration:
     attitude: Attitude
     albedo: float
     errors: FieldErrors
-    shape: Shape
+    shape: RelativeCalibration
     days: int
 
 
@@ -96,8 +96,8 @@ def calibrate_in_place(
     model: SkyModel = "perez1990",
     water_cm: float = CLEAR_WATER_CM,
     cosine_error: float = COSINE_ERROR,
-    stability: Stability | None = None,
-    level: Level | None = None,
+    stability: StabilityCriteria | None = None,
+    level: LevelReference | None = None,
 ) -> FieldCalibration:
     """Return gains, attitude and albedo from a cube's readings over several days.
 
@@ -109,7 +109,7 @@ def calibrate_in_place(
         Increasing instants [s], shape (n,), about a minute apart or less, and readings with their offsets taken off,
         shape (n, 4); NaN is no reading.
     model, water_cm, cosine_error
-        As :func:`.shape.fit_shape` and :func:`.anchor.clear_sky_anchor` say.
+        As :func:`.shape.fit_relative_calibration` and :func:`.anchor.fit_clear_sky_response` say.
     level
         What is known of the level of the gains from elsewhere; None where only the clear-sky model tells it.
 
@@ -118,7 +118,7 @@ def calibrate_in_place(
     UndeterminedError
         Naming everything that is missing.
     """
-    known = Level() if level is None else level
+    known = LevelReference() if level is None else level
     ghi = np.full(utc_s.shape, np.nan) if known.ghi_w_m2 is None else known.ghi_w_m2
     whole = np.isfinite(faces_w_m2).all(axis=-1)
     utc_s, faces_w_m2, ghi = utc_s[whole], faces_w_m2[whole], ghi[whole]
@@ -131,7 +131,9 @@ def calibrate_in_place(
         raise UndeterminedError(missing)
     told = _Givens(site=site, model=model, water_cm=water_cm, cosine_error=cosine_error, level=known)
 
-    def estimate(kept: NDArray[np.bool_], vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
+    def estimate(
+        kept: NDArray[np.bool_], vertical: float, rounds: int
+    ) -> tuple[Array, RelativeCalibration, ClearSkyResponse]:
         return _estimate(blocks_s[kept], means[kept], told, vertical, rounds)
 
     everything = np.ones(blocks_s.size, dtype=np.bool_)
@@ -179,17 +181,19 @@ class _Givens(NamedTuple):
     model: SkyModel
     water_cm: float
     cosine_error: float
-    level: Level
+    level: LevelReference
 
 
-def _estimate(utc_s: Array, means: Array, told: _Givens, vertical: float, rounds: int) -> tuple[Array, Shape, Anchor]:
+def _estimate(
+    utc_s: Array, means: Array, told: _Givens, vertical: float, rounds: int
+) -> tuple[Array, RelativeCalibration, ClearSkyResponse]:
     """Shape and anchor in turn until the vertical faces' gain over the zenith face's settles.
 
     `means` are those of the four faces, and of the GHI nearby over the zenith face's reading, shape (n, 5).
     """
     faces_w_m2, ghi_w_m2 = means[:, :4], means[:, 3] * means[:, 4]
     for _ in range(rounds):
-        shape = fit_shape(
+        shape = fit_relative_calibration(
             utc_s, faces_w_m2, told.site, vertical=vertical, model=told.model, cosine_error=told.cosine_error
         )
         count = shape.utc_s.size
@@ -201,8 +205,8 @@ def _estimate(utc_s: Array, means: Array, told: _Givens, vertical: float, rounds
             )
         horizontal = shape.beam_w_m2 * sun_direction(shape.utc_s, *told.site)[:, 2] + shape.uniform_w_m2
         nearby = horizontal / ghi_w_m2[np.searchsorted(utc_s, shape.utc_s)]
-        of_zenith, of_vertical = ties(told.level, shape, vertical, nearby)
-        anchor = clear_sky_anchor(
+        of_zenith, of_vertical = known_responses(told.level, shape, vertical, nearby)
+        anchor = fit_clear_sky_response(
             shape.utc_s,
             horizontal,
             vertical * shape.beam_w_m2,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from solar.calibration.shape import Shape
+from solar.calibration.shape import RelativeCalibration
 from solar.frames import FACE_NORMALS, Array
 
 _ZENITH = len(FACE_NORMALS) - 1
@@ -22,7 +22,7 @@ _LARGEST_SPREAD, _LARGEST_RATIO = 0.02, 1.3
 _LONG_STEP_S = 150.0
 
 
-class Tie(NamedTuple):
+class KnownResponse(NamedTuple):
     """A response (reading over truth) known from elsewhere, and its relative standard error (one sigma)."""
 
     response: float
@@ -30,7 +30,7 @@ class Tie(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Level:
+class LevelReference:
     """What is known from elsewhere of how much the faces respond.
 
     Attributes
@@ -46,13 +46,20 @@ class Level:
         How far apart its values are.
     """
 
-    faces: tuple[Tie | None, Tie | None, Tie | None, Tie | None] = (None, None, None, None)
+    faces: tuple[KnownResponse | None, KnownResponse | None, KnownResponse | None, KnownResponse | None] = (
+        None,
+        None,
+        None,
+        None,
+    )
     ghi_w_m2: Array | None = None
     ghi_error: float = 0.0075
     ghi_step_s: float = 60.0
 
 
-def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) -> tuple[Tie | None, Tie | None]:
+def known_responses(
+    level: LevelReference, shape: RelativeCalibration, vertical: float, zenith_over_ghi: Array
+) -> tuple[KnownResponse | None, KnownResponse | None]:
     """Return what is known of the responses e_z of the zenith face and e_v of the vertical faces' geometric mean.
 
     Parameters
@@ -69,9 +76,9 @@ def ties(level: Level, shape: Shape, vertical: float, zenith_over_ghi: Array) ->
     """
     of_zenith = [level.faces[_ZENITH]]
     if level.ghi_w_m2 is not None:
-        of_zenith.append(Tie(_ratio(zenith_over_ghi, level.ghi_step_s), level.ghi_error))
+        of_zenith.append(KnownResponse(_ratio(zenith_over_ghi, level.ghi_step_s), level.ghi_error))
     of_vertical = [
-        None if tie is None else Tie(tie.response * vertical / float(shape.response[face]), tie.error)
+        None if tie is None else KnownResponse(tie.response * vertical / float(shape.response[face]), tie.error)
         for face, tie in enumerate(level.faces[:_ZENITH])
     ]
     return _combined_tie(of_zenith), _combined_tie(of_vertical)
@@ -102,11 +109,11 @@ def _ratio(zenith_over_ghi: Array, step_s: float) -> float:
     return float(np.exp(middle))
 
 
-def _combined_tie(known: Sequence[Tie | None]) -> Tie | None:
+def _combined_tie(known: Sequence[KnownResponse | None]) -> KnownResponse | None:
     """Return the mean of logarithms, each weighted by 1 / error^2."""
     there = [tie for tie in known if tie is not None]
     if not there:
         return None
     weights = np.array([tie.error**-2.0 for tie in there])
     logs = np.log([tie.response for tie in there])
-    return Tie(float(np.exp(weights @ logs / weights.sum())), float(weights.sum() ** -0.5))
+    return KnownResponse(float(np.exp(weights @ logs / weights.sum())), float(weights.sum() ** -0.5))

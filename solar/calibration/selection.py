@@ -17,7 +17,7 @@ CLEAR_WATER_CM = 1.5
 DARK_BELOW_DEG = -6.0
 
 
-class Stability(NamedTuple):
+class StabilityCriteria(NamedTuple):
     """What counts as a clear and stable sky.
 
     Attributes
@@ -61,7 +61,7 @@ def clear_sky_ghi(
 
 
 def clear_and_stable(
-    utc_s: Array, irradiance_w_m2: Array, site: Site, stability: Stability | None = None
+    utc_s: Array, irradiance_w_m2: Array, site: Site, stability: StabilityCriteria | None = None
 ) -> NDArray[np.bool_]:
     """Tell for each instant whether the sky around it is clear and stable, by a horizontal sensor alone.
 
@@ -75,7 +75,7 @@ def clear_and_stable(
     irradiance_w_m2
         Global horizontal irradiance by a sensor of roughly known gain, shape (n,); NaN is no reading.
     """
-    wanted = Stability() if stability is None else stability
+    wanted = StabilityCriteria() if stability is None else stability
     if utc_s.size < 3:
         return np.zeros(utc_s.size, dtype=np.bool_)
     high = sun_position(utc_s, *site).elevation_deg >= wanted.elevation_deg

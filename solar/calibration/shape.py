@@ -43,7 +43,7 @@ HIGHEST_DIFFUSE = 0.22
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class RelativeCalibration:
     """What clear skies tell without knowing how bright they are.
 
     Attributes
@@ -76,7 +76,7 @@ class Shape:
     residual: float
 
 
-def fit_shape(
+def fit_relative_calibration(
     utc_s: Array,
     faces_w_m2: Array,
     site: Site,
@@ -84,7 +84,7 @@ def fit_shape(
     vertical: float = 1.0,
     model: SkyModel = "perez1990",
     cosine_error: float = COSINE_ERROR,
-) -> Shape:
+) -> RelativeCalibration:
     """Fit relative gains, attitude and albedo to clear-sky readings by the equation of this module.
 
     Parameters
@@ -123,7 +123,7 @@ def fit_shape(
         used &= dhi <= HIGHEST_DIFFUSE * (beam * sun[:, 2] + uniform)
         if np.count_nonzero(used) < _START.size:
             raise ValueError("the readings fit no clear sky: too few instants are left after outliers")
-    return Shape(
+    return RelativeCalibration(
         response=_responses(found, vertical),
         attitude=Attitude(*found[2:5].tolist()),
         albedo=float(found[5]),

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from solar.faces.contradiction import PAIRS, SWAPS
-from solar.faces.plausible import LOWEST_SINE
-from solar.frames import Array, joined
+from solar.faces.plausible import LOWEST_SUN_SINE
+from solar.frames import Array, stack_components
 from solar.laws.light import beam_shares
 
 _CONTRADICT = 0.25
@@ -33,12 +33,12 @@ _RIDGE = 1e-6
 _HALF = 0.5
 
 
-class Changes(NamedTuple):
+class ChangeMisfits(NamedTuple):
     """What is left over of the changes, as a share of them.
 
     Attributes
     ----------
-    as_they_are
+    without_fault
         With four sound faces. Where they explain the changes, no fault is sought, and the other shares are infinite.
     single
         With one face that is dead, shaded or at half its gain, the least of the three, for each face, shape (4,).
@@ -46,28 +46,28 @@ class Changes(NamedTuple):
         With two faces swapped, for each of :data:`solar.faces.contradiction.PAIRS`, shape (6,).
     """
 
-    as_they_are: float
+    without_fault: float
     single: Array
     swapped: Array
 
     @property
-    def contradict(self) -> bool:
+    def is_contradictory(self) -> bool:
         """Whether no change of the light explains those of the faces."""
-        return self.as_they_are > _CONTRADICT
+        return self.without_fault > _CONTRADICT
 
     @property
-    def accused(self) -> tuple[int, ...]:
+    def suspect_faces(self) -> tuple[int, ...]:
         """The face that is wrong, or two that are swapped; empty where the changes do not tell."""
         shares = np.concatenate([self.single, self.swapped])
         best, second = np.sort(shares)[:2]
-        explained = best < _EXPLAINED_SHARE * self.as_they_are
-        if not (self.contradict and explained and second > _CLEAR_FACTOR * best):
+        explained = best < _EXPLAINED_SHARE * self.without_fault
+        if not (self.is_contradictory and explained and second > _CLEAR_FACTOR * best):
             return ()
         place = int(np.argmin(shares))
         return (place,) if place < len(self.single) else PAIRS[place - len(self.single)]
 
 
-def changes(faces_w_m2: Array, sun: Array) -> Changes | None:
+def change_misfits(faces_w_m2: Array, sun: Array) -> ChangeMisfits | None:
     """Return how badly the changes of a cube's faces fit together; None where the light changes too seldom.
 
     Parameters
@@ -77,21 +77,21 @@ def changes(faces_w_m2: Array, sun: Array) -> Changes | None:
     sun
         Unit vectors to the sun then, shape (n, 3).
     """
-    if not (sun[:, 2] >= LOWEST_SINE).all():
+    if not (sun[:, 2] >= LOWEST_SUN_SINE).all():
         return None
     steps = np.diff(faces_w_m2, axis=0)
     told = np.logical_and.reduce(np.isfinite(steps), axis=-1)
     if not _has_enough_changes(told & (np.abs(steps) > _LARGE_W_M2).any(axis=-1)):
         return None
     steps, up = steps[told], sun[1:][told]
-    direct = joined(*beam_shares(up), up[:, 2])
+    direct = stack_components(*beam_shares(up), up[:, 2])
     sound, total = _sound_responses(direct), (steps**2).sum()
-    as_they_are = float(np.sqrt(_squared_residuals(steps, sound[None]) / total)[0])
-    if not as_they_are > _CONTRADICT:
-        return Changes(as_they_are, np.full(4, np.inf), np.full(len(PAIRS), np.inf))
+    without_fault = float(np.sqrt(_squared_residuals(steps, sound[None]) / total)[0])
+    if not without_fault > _CONTRADICT:
+        return ChangeMisfits(without_fault, np.full(4, np.inf), np.full(len(PAIRS), np.inf))
     shares = np.sqrt(_squared_residuals(steps, _faulty_responses(sound, direct)) / total)
     dead, half, shaded, swapped = np.split(shares, [4, 8, 12])
-    return Changes(as_they_are, np.min([dead, half, shaded], axis=0), swapped)
+    return ChangeMisfits(without_fault, np.min([dead, half, shaded], axis=0), swapped)
 
 
 def _has_enough_changes(large: NDArray[np.bool_]) -> bool:

@@ -13,17 +13,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from solar.faces.plausible import LOWEST_SINE, OTHERS
+from solar.faces.plausible import LOWEST_SUN_SINE, OTHER_FACES
 from solar.frames import Array
-from solar.laws.light import Light, light_from_faces, on_faces
+from solar.laws.light import Light, irradiance_on_faces, light_from_faces
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 """Places of two faces that may be swapped."""
 SWAPS = np.array([[{one: other, other: one}.get(face, face) for face in range(4)] for one, other in PAIRS])
 """The order of the faces with each of `PAIRS` swapped, shape (6, 4)."""
-MISFIT = 0.15
+CONTRADICTION_THRESHOLD = 0.15
 """A misfit above this share of the readings says that the faces contradict each other."""
-AGREEMENT = 0.08
+AGREEMENT_THRESHOLD = 0.08
 """A misfit below this share says that they agree."""
 _SOLVED = 0.06
 _CLEAR_FACTOR = 2.0
@@ -76,7 +76,7 @@ class Misfits:
         return self._misfit_and_least(np.moveaxis(self._faces[:, SWAPS], 0, 1))[0]
 
     @cached_property
-    def ordinary(self) -> float:
+    def without_snow(self) -> float:
         """By all four where the ground has no snow and the horizon is no brighter than it usually is."""
         over, _ = self._misfit_and_least(
             self._faces[None], albedos=_WITHOUT_SNOW, horizon_range=_ORDINARY_HORIZON_RANGE
@@ -89,14 +89,14 @@ class Misfits:
         return self._misfit_and_least(self._faces * _DOUBLING)[0]
 
     @property
-    def contradict(self) -> bool:
+    def is_contradictory(self) -> bool:
         """Whether no light explains the faces, at no time."""
-        return self.least > MISFIT
+        return self.least > CONTRADICTION_THRESHOLD
 
     @property
-    def accused(self) -> tuple[int, ...]:
+    def suspect_faces(self) -> tuple[int, ...]:
         """The face that is wrong, or two that are swapped; empty where that cannot be told."""
-        if not self.contradict:
+        if not self.is_contradictory:
             return ()
         swapped, single = _clear_minimum(self.swapped), _clear_minimum(self.without)
         if swapped is not None and single is not None:
@@ -108,28 +108,31 @@ class Misfits:
             return () if alone else PAIRS[swapped]
         return () if single is None else (single,)
 
-    def bears(self, face: int) -> bool:
+    def others_agree_without(self, face: int) -> bool:
         """Tell whether this face alone may be wrong, as the three others agree."""
-        return float(self.without[face]) < AGREEMENT
+        return float(self.without[face]) < AGREEMENT_THRESHOLD
 
-    def instead_of(self, face: int) -> int | None:
+    def other_wrong_face(self, face: int) -> int | None:
         """Return the face that is wrong instead, if the others contradict each other without this one too; or None."""
-        if not float(self.least_without[face]) > MISFIT or len(self.accused) != 1:
+        if not float(self.least_without[face]) > CONTRADICTION_THRESHOLD or len(self.suspect_faces) != 1:
             return None
-        return self.accused[0]
+        return self.suspect_faces[0]
 
-    def in_full(self, face: int) -> bool:
+    def rules_out_half_gain(self, face: int) -> bool:
         """Tell whether the faces agree as they are, and would not if this one read twice as much."""
-        return self.ordinary < AGREEMENT and float(self.doubled[face]) > AGREEMENT
+        return self.without_snow < AGREEMENT_THRESHOLD and float(self.doubled[face]) > AGREEMENT_THRESHOLD
 
-    def in_order(self, places: Collection[int]) -> bool:
+    def rules_out_swaps(self, places: Collection[int]) -> bool:
         """Tell whether the faces agree as they are, and would not with any two of these swapped."""
         pairs = [place for place, pair in enumerate(PAIRS) if set(pair) <= set(places)]
-        return self.whole < AGREEMENT and float(self.swapped[pairs].min(initial=np.inf)) > MISFIT
+        return (
+            self.whole < AGREEMENT_THRESHOLD
+            and float(self.swapped[pairs].min(initial=np.inf)) > CONTRADICTION_THRESHOLD
+        )
 
     @cached_property
     def _misfits_without_each(self) -> tuple[Array, Array]:
-        return self._misfit_and_least(self._faces[None], OTHERS)
+        return self._misfit_and_least(self._faces[None], OTHER_FACES)
 
     def _misfit_and_least(
         self,
@@ -159,7 +162,7 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
     sun
         Unit vectors to the sun then, shape (n, 3).
     """
-    good = np.isfinite(faces_w_m2).all(axis=-1) & (sun[:, 2] >= LOWEST_SINE)
+    good = np.isfinite(faces_w_m2).all(axis=-1) & (sun[:, 2] >= LOWEST_SUN_SINE)
     faces, up = faces_w_m2[good], sun[good]
     if len(faces) < _LEAST_MINUTES or not np.sort(faces)[:, -2].mean() > _LIT_W_M2:
         return None
@@ -169,7 +172,9 @@ def misfits(faces_w_m2: Array, sun: Array) -> Misfits | None:
 def _clear_minimum(shares: Array) -> int | None:
     """Return the place of the one share that is near zero; None if there is none, or more than one."""
     best, second = np.sort(shares)[:2]
-    return int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEAR_FACTOR * best, AGREEMENT) else None
+    return (
+        int(np.argmin(shares)) if best < _SOLVED and second > max(_CLEAR_FACTOR * best, AGREEMENT_THRESHOLD) else None
+    )
 
 
 def _squared_residuals(
@@ -178,12 +183,12 @@ def _squared_residuals(
     """Return the squares left over, shape (k, n), for the albedo that explains the faces best."""
     albedo = albedos[:, None, None]
     light = light_from_faces(faces, sun, albedo, used)
-    over = np.where(used, faces - faces_of(light, sun, albedo, horizon_range), 0.0)
+    over = np.where(used, faces - bounded_face_irradiances(light, sun, albedo, horizon_range), 0.0)
     squares: Array = (over**2).sum(axis=-1).min(axis=0)
     return squares
 
 
-def faces_of(
+def bounded_face_irradiances(
     light: Light, sun: Array, albedo: Array | float, horizon_range: tuple[float, float] = _HORIZON_RANGE
 ) -> Array:
     """Return what the faces of a cube read [W/m2] in a light whose horizon is within a range, shape (..., 4).
@@ -192,4 +197,4 @@ def faces_of(
     """
     low, high = horizon_range
     horizon = np.clip(light.horizon, low * light.uniform, high * light.uniform)
-    return on_faces(light._replace(horizon=horizon), sun, albedo)
+    return irradiance_on_faces(light._replace(horizon=horizon), sun, albedo)

@@ -31,12 +31,12 @@ class Jumps(NamedTuple):
     ----------
     sure
         In which minutes a face, and no other, was surely far from its median of five, shape (n, 4).
-    settled
+    without_jumps
         The faces [W/m2], with that median where a face may have been, shape (n, 4).
     """
 
     sure: NDArray[np.bool_]
-    settled: Array
+    without_jumps: Array
 
     def repeated(self, sun: Array, believed: Sequence[bool]) -> NDArray[np.bool_]:
         """Tell which face has jumped, and come back, more than once, shape (4,).
@@ -52,7 +52,7 @@ class Jumps(NamedTuple):
         return result
 
 
-def jumps(faces_w_m2: Array) -> Jumps:
+def find_jumps(faces_w_m2: Array) -> Jumps:
     """Find the jumps of minutes that follow each other.
 
     Parameters

@@ -15,7 +15,7 @@ from solar.frames import FACE_NORMALS, Array
 from solar.laws.light import irradiance_on, light_from_faces
 
 _SOLAR_CONSTANT_W_M2 = 1361.0
-LOWEST_SINE = float(np.sin(np.radians(5.0)))
+LOWEST_SUN_SINE = float(np.sin(np.radians(5.0)))
 """Sine of the sun's elevation below which nothing is judged."""
 _BRIGHT_DAY_SINE = float(np.sin(np.radians(10.0)))
 # The shaded face of a clear day over dark ground still reads several percent of the zenith face.
@@ -40,7 +40,7 @@ _ALBEDO = 0.2
 _NIGHT_SINE = float(np.sin(np.radians(-6.0)))
 _NIGHT_W_M2 = 20.0
 _NIGHT_OTHERS_W_M2 = 5.0
-OTHERS = ~np.eye(4, dtype=np.bool_)[:, None, :]
+OTHER_FACES = ~np.eye(4, dtype=np.bool_)[:, None, :]
 """The faces by which each face is judged at every instant, shape (4, 1, 4): all but itself."""
 _PAIRINGS = (((3, 0), (1, 2)), ((3, 1), (0, 2)), ((3, 2), (0, 1)))
 
@@ -52,13 +52,13 @@ class Doubt(IntEnum):
     DEAD = 1
     DARK = 2
     SAME = 3
-    OVER = 4
+    TOO_BRIGHT = 4
     FROZEN = 5
     NIGHT = 6
-    ODD = 7
+    CONTRADICTED = 7
     SWAPPED = 8
-    TORN = 9
-    LOOSE = 10
+    INCONSISTENT = 9
+    LOOSE_CONTACT = 10
 
 
 class Response(IntEnum):
@@ -95,7 +95,7 @@ def doubts(faces_w_m2: Sequence[float], voltages_mv: Sequence[float], sun: Array
         face by the zenith face. Two such faces accuse the zenith face.
     """
     height = float(sun[2])
-    if not height >= LOWEST_SINE:
+    if not height >= LOWEST_SUN_SINE:
         return [Doubt.NONE] * 4
     dead = _dead(faces_w_m2)
     if _dark(faces_w_m2) and height >= _BRIGHT_DAY_SINE:
@@ -106,7 +106,9 @@ def doubts(faces_w_m2: Sequence[float], voltages_mv: Sequence[float], sun: Array
         # A dead zenith face is no measure for the others.
         found = [Doubt.NONE] * 4
     else:
-        found = [Doubt.OVER if over else Doubt.NONE for over in _find_too_bright(faces_w_m2, (normals @ sun).tolist())]
+        found = [
+            Doubt.TOO_BRIGHT if over else Doubt.NONE for over in _find_too_bright(faces_w_m2, (normals @ sun).tolist())
+        ]
     return [Doubt.DEAD if gone else doubt for gone, doubt in zip(dead, found, strict=True)]
 
 
@@ -153,7 +155,7 @@ def responses(faces_w_m2: ArrayLike, sun: ArrayLike, believed: Sequence[bool]) -
     west = -float(up[:, 1].max())
     reached = [*(cosine > _LIT_COSINE for cosine in (east, south, west)), True]
     judged = [face for face in range(4) if _can_be_judged(face, reached, believed)]
-    if not height >= LOWEST_SINE or not judged:
+    if not height >= LOWEST_SUN_SINE or not judged:
         return found
     stillest, least = None, _STAYS_SHARE
     ordered = np.sort(_predict_by_others(faces, up, judged))
@@ -181,13 +183,13 @@ def _can_be_judged(face: int, reached: Sequence[bool], believed: Sequence[bool])
 
 def _predict_by_others(faces: Array, sun: Array, judged: Sequence[int]) -> Array:
     """Return what each of some faces should read by the other three, shape (faces, n): one fit for all of them."""
-    light = light_from_faces(faces, sun, _ALBEDO, OTHERS[judged])
+    light = light_from_faces(faces, sun, _ALBEDO, OTHER_FACES[judged])
     return irradiance_on(light, sun, _ALBEDO, FACE_NORMALS[judged, None, :])
 
 
-def lit(faces_w_m2: Sequence[float], sun: Array) -> bool:
+def is_lit(faces_w_m2: Sequence[float], sun: Array) -> bool:
     """Tell whether there is light enough for a face without doubts to count as sound, as for :func:`doubts`."""
-    return _second_brightest(faces_w_m2) > _LIT_W_M2 and bool(sun[2] >= LOWEST_SINE)
+    return _second_brightest(faces_w_m2) > _LIT_W_M2 and bool(sun[2] >= LOWEST_SUN_SINE)
 
 
 def _second_brightest(faces: Sequence[float]) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg
 
 from solar.frames import Array
-from solar.gain.geometry import DAYS, HOURS_PER_RAD, sun_day
+from solar.gain.geometry import DAYS, HOURS_PER_RAD, sun_path
 from solar.gain.horizontal import horizontal_parts
 from solar.gain.static import static_energy
 from solar.gain.vertical import half_day_cosine, half_day_sine
@@ -33,7 +33,7 @@ def best_tilt_vertical(phi_deg: ArrayLike, days: ArrayLike = DAYS) -> BestTilt:
 
     From the exact value of Maiga (2022), (15). The result has the shape of `phi_deg`.
     """
-    day = sun_day(np.asarray(phi_deg, dtype=np.float64)[..., None], days)
+    day = sun_path(np.asarray(phi_deg, dtype=np.float64)[..., None], days)
     cosine, sine = half_day_cosine(day).sum(axis=-1), half_day_sine(day).sum(axis=-1)
     return _peak(2.0 * HOURS_PER_RAD * cosine, 2.0 * HOURS_PER_RAD * sine, np.zeros(cosine.shape))
 

@@ -67,14 +67,14 @@ def declination_deg(n: ArrayLike) -> Array:
     return declination
 
 
-def sun_day(phi_deg: ArrayLike, n: ArrayLike) -> SunPath:
+def sun_path(phi_deg: ArrayLike, n: ArrayLike) -> SunPath:
     """Return the sun's path at latitudes [deg] on days 1..365, broadcast together; Maiga (2022), (7), (22), (23).
 
     Sunset is where cos w0 = -tan(phi) tan(delta), that is tan^2(w0/2) = cos(phi - delta)/cos(phi + delta), which is
     sharp for the shortest days too and needs no clipping at the polar circles. Raises `ValueError` for a latitude
     outside -90..90 or a day outside 1..365.
     """
-    phi, day = within("latitude", phi_deg, -90.0, 90.0, " deg"), within("day", n, 1.0, 365.0)
+    phi, day = require_within("latitude", phi_deg, -90.0, 90.0, " deg"), require_within("day", n, 1.0, 365.0)
     delta = declination_deg(day)
     noon, midnight = cosdg(phi - delta), cosdg(phi + delta)
     w0 = 2.0 * np.arctan2(np.sqrt(np.maximum(noon, 0.0)), np.sqrt(np.maximum(midnight, 0.0)))
@@ -91,7 +91,7 @@ def sun_day(phi_deg: ArrayLike, n: ArrayLike) -> SunPath:
 
 def half_day_h(phi_deg: ArrayLike, n: ArrayLike) -> Array:
     """Return T0 [h], half the time from sunrise to sunset: 0 in polar night, 12 in polar day; Maiga (2022), (7)."""
-    return sun_day(phi_deg, n).max_h / 2.0
+    return sun_path(phi_deg, n).max_h / 2.0
 
 
 def energy_ratio(max_h: ArrayLike, received_h: ArrayLike) -> Array:
@@ -108,7 +108,7 @@ def energy_ratio(max_h: ArrayLike, received_h: ArrayLike) -> Array:
     return ratio
 
 
-def within(name: str, values: ArrayLike, low: float, high: float, unit: str = "") -> Array:
+def require_within(name: str, values: ArrayLike, low: float, high: float, unit: str = "") -> Array:
     """Return `values` as an array; raises `ValueError` with the first that is NaN or outside `low`..`high`."""
     numbers = np.asarray(values, dtype=np.float64)
     bad = ~((numbers >= low) & (numbers <= high))

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg, sindg
 
 from solar.frames import Array
-from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, sun_day, within
+from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, require_within, sun_path
 
 
 def k_dh(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: ArrayLike = 0.0) -> Array:
@@ -19,7 +19,7 @@ def k_dh(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: Arra
 
     Infinite where R_H is not positive. Arguments and errors as :func:`horizontal_energy_h`.
     """
-    return energy_ratio(sun_day(phi_deg, n).max_h, horizontal_energy_h(phi_deg, beta_deg, n, lambda_deg))
+    return energy_ratio(sun_path(phi_deg, n).max_h, horizontal_energy_h(phi_deg, beta_deg, n, lambda_deg))
 
 
 def horizontal_energy_h(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: ArrayLike = 0.0) -> Array:
@@ -29,8 +29,8 @@ def horizontal_energy_h(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, l
     deviations only. Latitude, tilt, day and azimuth deviation broadcast together; every latitude. Raises `ValueError`
     for a latitude or tilt outside -90..90, a day outside 1..365, or a number that is not finite.
     """
-    beta = within("tilt", beta_deg, -90.0, 90.0, " deg")
-    cos_lambda = cosdg(within("azimuth", lambda_deg, -360.0, 360.0, " deg"))
+    beta = require_within("tilt", beta_deg, -90.0, 90.0, " deg")
+    cos_lambda = cosdg(require_within("azimuth", lambda_deg, -360.0, 360.0, " deg"))
     level, southward, upward = horizontal_parts(phi_deg, n)
     energy: Array = cos_lambda * level + sindg(beta) * cos_lambda * southward + cosdg(beta) * upward
     return energy
@@ -42,7 +42,7 @@ def horizontal_parts(phi_deg: ArrayLike, n: ArrayLike) -> tuple[Array, Array, Ar
     R_H = cos(lambda) level + sin(beta) cos(lambda) southward + cos(beta) upward: twice -H11, H23 and H32 of Maiga
     (2022), (30), (35), (37), the first with its sign put right.
     """
-    day = sun_day(phi_deg, n)
+    day = sun_path(phi_deg, n)
     a, b, w0 = day.a, day.b, day.w0
     sine, both = np.sin(w0), 0.5 * w0 + 0.25 * np.sin(2.0 * w0)
     # sin(alpha) = a + b cos w, and -N = c + d cos w for the sun's northward component N.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array
-from solar.gain.geometry import DAYS, energy_ratio, sun_day
+from solar.gain.geometry import DAYS, energy_ratio, sun_path
 from solar.gain.horizontal import horizontal_energy_h, k_dh
 from solar.gain.static import k_ds, static_energy
 from solar.gain.vertical import k_dv, vertical_energy_h
@@ -39,7 +39,7 @@ class Energies:
     vertical: Array
     horizontal: Array
 
-    def each(self, change: Callable[[Array], Array]) -> "Energies":
+    def apply(self, change: Callable[[Array], Array]) -> "Energies":
         """Return the energies after `change` of each."""
         return Energies(*(change(getattr(self, field.name)) for field in fields(self)))
 
@@ -81,7 +81,7 @@ def daily(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: Arr
     """
     static = static_energy(phi_deg, beta_deg, n, lambda_deg)
     return Energies(
-        dual=sun_day(phi_deg, n).max_h,
+        dual=sun_path(phi_deg, n).max_h,
         static=static.clip_h,
         static_abs=static.abs_h,
         vertical=vertical_energy_h(phi_deg, beta_deg, n),
@@ -92,7 +92,7 @@ def daily(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_deg: Arr
 def yearly(phi_deg: ArrayLike, beta_deg: ArrayLike, lambda_deg: ArrayLike = 0.0) -> Energies:
     """Return the exact energies [h] of the year of 365 days; as :func:`daily`, summed over n = 1..365."""
     phi, beta, deviation = (np.asarray(part, dtype=np.float64)[..., None] for part in (phi_deg, beta_deg, lambda_deg))
-    return daily(phi, beta, DAYS, deviation).each(lambda energy: energy.sum(axis=-1))
+    return daily(phi, beta, DAYS, deviation).apply(lambda energy: energy.sum(axis=-1))
 
 
 def eta_vs(

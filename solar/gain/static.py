@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg, sindg
 
 from solar.frames import Array
-from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, sun_day, within
+from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, require_within, sun_path
 
 _TURN = 2.0 * np.pi
 
@@ -47,9 +47,9 @@ def static_energy(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike, lambda_
     azimuth deviation. Raises `ValueError` for a latitude outside -90..90, a tilt outside -90..90, a day outside
     1..365, or a number that is not finite.
     """
-    day = sun_day(phi_deg, n)
-    beta = within("tilt", beta_deg, -90.0, 90.0, " deg")
-    deviation = within("azimuth", lambda_deg, -360.0, 360.0, " deg")
+    day = sun_path(phi_deg, n)
+    beta = require_within("tilt", beta_deg, -90.0, 90.0, " deg")
+    deviation = require_within("azimuth", lambda_deg, -360.0, 360.0, " deg")
     return _energy(day, sindg(beta), cosdg(beta), sindg(deviation), cosdg(deviation))
 
 
@@ -67,7 +67,7 @@ def k_ds(
     :func:`static_energy`.
     """
     energy = static_energy(phi_deg, beta_deg, n, lambda_deg)
-    return energy_ratio(sun_day(phi_deg, n).max_h, energy.abs_h if rear_face else energy.clip_h)
+    return energy_ratio(sun_path(phi_deg, n).max_h, energy.abs_h if rear_face else energy.clip_h)
 
 
 def _energy(day: SunPath, sin_beta: Array, cos_beta: Array, sin_lambda: Array, cos_lambda: Array) -> StaticEnergy:

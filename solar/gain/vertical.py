@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.special import cosdg, elliprd, elliprf, elliprj, sindg
 
 from solar.frames import Array
-from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, sun_day, within
+from solar.gain.geometry import HOURS_PER_RAD, SunPath, energy_ratio, require_within, sun_path
 
 # Stands for zero where phi = delta: the integrals have a removable logarithm there.
 _TINY = 1e-30
@@ -20,7 +20,7 @@ def k_dv(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike) -> Array:
 
     Arguments and errors as :func:`vertical_energy_h`.
     """
-    return energy_ratio(sun_day(phi_deg, n).max_h, vertical_energy_h(phi_deg, beta_deg, n))
+    return energy_ratio(sun_path(phi_deg, n).max_h, vertical_energy_h(phi_deg, beta_deg, n))
 
 
 def vertical_energy_h(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike) -> Array:
@@ -29,8 +29,8 @@ def vertical_energy_h(phi_deg: ArrayLike, beta_deg: ArrayLike, n: ArrayLike) -> 
     The exact value of Maiga (2022), (15). The tracker turns by itself towards the sun, so the sign of the tilt does not
     matter. Every latitude. Raises `ValueError` for a latitude or tilt outside -90..90 or a day outside 1..365.
     """
-    day = sun_day(phi_deg, n)
-    beta = np.abs(within("tilt", beta_deg, -90.0, 90.0, " deg"))
+    day = sun_path(phi_deg, n)
+    beta = np.abs(require_within("tilt", beta_deg, -90.0, 90.0, " deg"))
     energy: Array = 2.0 * HOURS_PER_RAD * (sindg(beta) * half_day_cosine(day) + cosdg(beta) * half_day_sine(day))
     return energy
 

@@ -7,10 +7,10 @@ from solar.ephemeris import sun_direction
 from solar.frames import Array, Limits, angles_within
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
-from solar.laws.steer import or_stay
+from solar.laws.steer import known_pose_or_present
 from solar.laws.three_faces import ThreeFacesLaw
-from solar.laws.words import place
-from solar.rows.backtrack import turned_back
+from solar.laws.words import describe_direction
+from solar.rows.backtrack import backtracked_poses
 from solar.rows.group import TrackerGroup
 
 
@@ -38,7 +38,7 @@ class ChronometricLaw(ThreeFacesLaw, DirectionLaw):
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
         """Return where the sun is."""
-        return f"by the clock the sun is in {place(azimuth_deg, elevation_deg)}"
+        return f"by the clock the sun is in {describe_direction(azimuth_deg, elevation_deg)}"
 
 
 SETTINGS = ChronometricSettings
@@ -57,5 +57,5 @@ def steer(
     a_deg, b_deg = angles_within(sun, limits)
     if group is not None:
         later = weather.gridded(sun_direction(weather.utc_s + weather.step_s, *weather.site), np.nan)
-        a_deg, b_deg = turned_back(group, [sun, later], a_deg, b_deg, limits)
-    return lambda step, a, b: or_stay(a_deg[step], b_deg[step], a, b)
+        a_deg, b_deg = backtracked_poses(group, [sun, later], a_deg, b_deg, limits)
+    return lambda step, a, b: known_pose_or_present(a_deg[step], b_deg[step], a, b)

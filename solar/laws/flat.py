@@ -1,6 +1,6 @@
 """The law `flat`: up, whatever the sky does."""
 
-from solar.energy import DaylightWeather, Steer, fixed
+from solar.energy import DaylightWeather, Steer, steer_fixed_tilt
 from solar.frames import Array, Limits
 from solar.laws.law import DirectionLaw, LawSettings, Moment, TrackerFacts
 from solar.laws.paper import ZENITH
@@ -38,4 +38,4 @@ build = FlatLaw
 
 def steer(_settings: FlatSettings, weather: DaylightWeather, _faces: Array, _limits: Limits) -> Steer:
     """Lie flat all day."""
-    return fixed(weather, 0.0)
+    return steer_fixed_tilt(weather, 0.0)

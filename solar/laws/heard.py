@@ -18,7 +18,7 @@ from solar.ephemeris import Site, solar_days, sun_direction
 from solar.frames import Array
 from solar.laws.law import Reading
 from solar.laws.memory import LightMemory
-from solar.laws.site import Learned
+from solar.laws.site import LearnedSite
 
 _MEAN_S = 15.0
 # No reading stands for longer than this; a cube that scans more slowly leaves the rest open.
@@ -33,7 +33,7 @@ FourNumbers = tuple[float, float, float, float]
 _FOUR_ZEROS: FourNumbers = (0.0, 0.0, 0.0, 0.0)
 
 
-class Begun(NamedTuple):
+class PartialMean(NamedTuple):
     """A mean that is being made: its seconds, those of each face, and sums by seconds of readings and of UTC [s]."""
 
     elapsed_s: float = 0.0
@@ -41,7 +41,7 @@ class Begun(NamedTuple):
     sums: FourNumbers = _FOUR_ZEROS
     seconds: FourNumbers = _FOUR_ZEROS
 
-    def with_reading(self, reading: Reading, elapsed_s: float) -> "Begun":
+    def with_reading(self, reading: Reading, elapsed_s: float) -> "PartialMean":
         """Return the mean with one reading more, which stands for `elapsed_s`."""
         sums, seconds = list(self.sums), list(self.seconds)
         for place, irradiance_w_m2 in enumerate(reading.faces_w_m2):
@@ -50,7 +50,7 @@ class Begun(NamedTuple):
                 seconds[place] += elapsed_s
         (e, s, w, z), (e_s, s_s, w_s, z_s) = sums, seconds
         middle = self.middle + elapsed_s * reading.utc_s
-        return Begun(self.elapsed_s + elapsed_s, middle, (e, s, w, z), (e_s, s_s, w_s, z_s))
+        return PartialMean(self.elapsed_s + elapsed_s, middle, (e, s, w, z), (e_s, s_s, w_s, z_s))
 
     def ended(self) -> tuple[float, float, list[float]]:
         """Return its middle UTC [s], its length [s] and its faces [W/m2], NaN for one without readings."""
@@ -59,11 +59,11 @@ class Begun(NamedTuple):
         return self.middle / self.elapsed_s, self.elapsed_s, faces
 
 
-_EMPTY_MEAN = Begun()
+_EMPTY_MEAN = PartialMean()
 
 
 @dataclass(slots=True, weakref_slot=True, eq=False)
-class Heard:
+class ReadingHistory:
     """One link: all readings up to some instant.
 
     Attributes
@@ -79,17 +79,17 @@ class Heard:
     day: int
     _memory: LightMemory
     _newest_s: float = -math.inf
-    _begun: Begun = _EMPTY_MEAN
+    _begun: PartialMean = _EMPTY_MEAN
     _waiting_means: tuple[tuple[float, float, list[float]], ...] = ()
-    _newest_links: "deque[Heard]" = field(default_factory=lambda: deque(maxlen=_MOST_LINKS))
-    _next_link: "tuple[Reading, ref[Heard]] | None" = None
-    _day_link: "Heard | None" = None
+    _newest_links: "deque[ReadingHistory]" = field(default_factory=lambda: deque(maxlen=_MOST_LINKS))
+    _next_link: "tuple[Reading, ref[ReadingHistory]] | None" = None
+    _day_link: "ReadingHistory | None" = None
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> "Heard":
+    def __deepcopy__(self, memo: dict[int, Any]) -> "ReadingHistory":
         """Return itself: what it stands for does not change."""
         return self
 
-    def after(self, reading: Reading) -> "Heard":
+    def after(self, reading: Reading) -> "ReadingHistory":
         """Return the link of a law that has heard this reading as well."""
         known = self._next_link[1]() if self._next_link is not None and self._next_link[0] == reading else None
         if known is None:
@@ -99,7 +99,7 @@ class Heard:
             self._next_link = (reading, ref(known))
         return known
 
-    def on(self, day: int) -> "Heard":
+    def on(self, day: int) -> "ReadingHistory":
         """Return the link of a law that has taken over what the days before this one have taught."""
         if day == self.day:
             return self
@@ -109,7 +109,7 @@ class Heard:
             self._day_link = self._with_changes(day=day, _memory=memory)
         return self._day_link
 
-    def relearned(self, learned: Learned) -> "Heard":
+    def with_learned(self, learned: LearnedSite) -> "ReadingHistory":
         """Return the link of a law that has forgotten what was learned of the site, and begins with `learned`."""
         # The light is no knowledge of the site: the means that wait are still taken in.
         memory = self.memory().copied()
@@ -118,7 +118,7 @@ class Heard:
         return self._with_changes(_memory=memory)
 
     @property
-    def learned(self) -> Learned:
+    def learned(self) -> LearnedSite:
         """What was learned of the site; another object when it has changed."""
         return self._memory.site.learned
 
@@ -138,7 +138,7 @@ class Heard:
             self._memory, self._waiting_means = memory, ()
         return self._memory
 
-    def extended(self, reading: Reading) -> "Heard":
+    def extended(self, reading: Reading) -> "ReadingHistory":
         """Work out the link after a reading of the same day."""
         elapsed_s = reading.monotonic_s - self._newest_s
         begun, waiting = self._begun, self._waiting_means
@@ -151,7 +151,7 @@ class Heard:
         if begun.elapsed_s >= _MEAN_S - 1e-3:
             begun, waiting = _EMPTY_MEAN, (*waiting, begun.ended())
         # This runs once a scan for each tracker, and `replace` would take as long as all the rest.
-        made = Heard(
+        made = ReadingHistory(
             site=self.site,
             scan_every_s=self.scan_every_s,
             day=self.day,
@@ -165,5 +165,5 @@ class Heard:
             made.memory()
         return made
 
-    def _with_changes(self, **changes: Any) -> "Heard":
+    def _with_changes(self, **changes: Any) -> "ReadingHistory":
         return replace(self, **changes, _next_link=None, _day_link=None)

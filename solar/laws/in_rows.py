@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from solar.frames import Array, Limits, normal_from_angles
-from solar.laws.light import product
-from solar.rows.backtrack import closer, lattice, out_of_shade
+from solar.laws.light import dot_with_normal
+from solar.rows.backtrack import out_of_shade, pose_grid, poses_around
 from solar.rows.group import TrackerGroup
 
 _COARSE_DEG = 10.0
@@ -28,7 +28,7 @@ def taken_by_neighbours(group: TrackerGroup, beam: Array, suns: Sequence[Array],
     return taken
 
 
-def best_among(
+def best_poses_of_group(
     group: TrackerGroup,
     vector: Array,
     beam: Array,
@@ -68,13 +68,13 @@ def _search_best(
     group: TrackerGroup, light: tuple[Array, Array, Sequence[Array]], starts: Sequence[Array], limits: Limits
 ) -> tuple[Array, Array]:
     vector, beam, suns = light
-    everywhere = [np.broadcast_to(angles, (len(beam), angles.size)) for angles in lattice(limits, _COARSE_DEG)]
+    everywhere = [np.broadcast_to(angles, (len(beam), angles.size)) for angles in pose_grid(limits, _COARSE_DEG)]
     tries = [np.concatenate(parts, axis=-1) for parts in zip(starts, everywhere, strict=True)]
     reach = _COARSE_DEG
     for _ in range(_REFINEMENTS):
-        collected = product(vector, *tries) - taken_by_neighbours(group, beam, suns, *tries)
+        collected = dot_with_normal(vector, *tries) - taken_by_neighbours(group, beam, suns, *tries)
         best = np.argmax(collected, axis=-1)[:, None]
         a, b = (np.take_along_axis(angles, best, axis=-1)[:, 0] for angles in tries)
-        tries = list(closer(a, b, reach, limits))
+        tries = list(poses_around(a, b, reach, limits))
         reach /= _REFINING_FACTOR
     return a, b

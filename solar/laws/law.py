@@ -22,8 +22,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from solar.ephemeris import Site, SunPosition, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
-from solar.laws.words import out_of_shade_by
-from solar.rows.backtrack import turned_back
+from solar.laws.words import shade_reason
+from solar.rows.backtrack import backtracked_poses
 from solar.rows.group import TrackerGroup
 
 Faces = tuple[float, float, float, float]
@@ -259,14 +259,14 @@ class DirectionLaw(Law):
             elevation_deg=elevation,
             sun=sun,
             target=target,
-            why=reason if target == wanted else out_of_shade_by(wanted, target, reason),
+            why=reason if target == wanted else shade_reason(wanted, target, reason),
         )
 
     def _out_of_shade(self, wanted: Angles, to_sun: Array, utc_s: float) -> Angles:
         if self.group is None:
             return wanted
         later = sun_direction(utc_s + self.decide_every_s, *self.site)
-        a_deg, b_deg = turned_back(self.group, [to_sun, later], *wanted, self.limits)
+        a_deg, b_deg = backtracked_poses(self.group, [to_sun, later], *wanted, self.limits)
         return Angles(float(a_deg), float(b_deg))
 
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import FACE_NORMALS, Array, Limits, angles_within, bounded, joined
+from solar.frames import FACE_NORMALS, Array, Limits, angles_within, bounded, stack_components
 
 FACES_NEEDED = 3
 """How many faces tell the light, given the sun's position."""
@@ -83,7 +83,7 @@ def usable_faces(faces: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     return believed
 
 
-def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
+def is_zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
     """Tell whether the zenith face can be believed, as :func:`usable_faces` does, shape (...), without the sun."""
     readings = np.asarray(faces, dtype=np.float64)
     possible = _are_possible(readings)
@@ -91,7 +91,7 @@ def zenith_usable(faces: ArrayLike) -> NDArray[np.bool_]:
     return result
 
 
-def tell_beam(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
+def is_beam_observable(usable: ArrayLike, sun: ArrayLike) -> NDArray[np.bool_]:
     """Tell whether the faces that count show how much beam there is, shape (...).
 
     A low sun puts next to no beam on the zenith face, and none on the vertical faces that look away. Without the face
@@ -167,9 +167,9 @@ def irradiance_on(light: Light, sun: ArrayLike, albedo: ArrayLike, normals: Arra
     return result
 
 
-def on_faces(light: Light, sun: ArrayLike, albedo: ArrayLike) -> Array:
+def irradiance_on_faces(light: Light, sun: ArrayLike, albedo: ArrayLike) -> Array:
     """Return what the faces of a cube read [W/m2] in the light under suns (..., 3), shape (..., 4)."""
-    return joined(*(irradiance_on(light, sun, albedo, normal) for normal in FACE_NORMALS))
+    return stack_components(*(irradiance_on(light, sun, albedo, normal) for normal in FACE_NORMALS))
 
 
 def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
@@ -184,17 +184,17 @@ def aim_vector(light: Light, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     # A dark horizon takes away from the tilt that the beam asks for, but never tilts away from the sun.
     outward = np.maximum(light.beam * across + light.horizon, 0.0) / np.maximum(across, _SMALLEST)
     up = np.maximum(light.beam * height + 0.5 * (light.uniform - np.asarray(albedo) * total), 1e-3 * total)
-    return joined(outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9))
+    return stack_components(outward * sun[..., 0], outward * sun[..., 1], np.maximum(up, 1e-9))
 
 
-def within_reach(light: Light, sun: ArrayLike, limits: Limits) -> Light:
+def without_unreachable_beam(light: Light, sun: ArrayLike, limits: Limits) -> Light:
     """Return the light without its beam where no pose inside the limits sees the sun."""
     sun = np.asarray(sun, dtype=np.float64)
-    seen = product(sun, *angles_within(sun, limits)) > 0.0
+    seen = dot_with_normal(sun, *angles_within(sun, limits)) > 0.0
     return light._replace(beam=np.where(seen, light.beam, 0.0))
 
 
-def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
+def dot_with_normal(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
     """Return the product of `vector`, shape (..., 3), with the normal at tracker angles [deg]."""
     vector = np.asarray(vector, dtype=np.float64)
     a, b = np.radians(a_deg), np.radians(b_deg)
@@ -203,7 +203,7 @@ def product(vector: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
     return result
 
 
-def as_far_as_it_pays(
+def economical_pose(
     vector: ArrayLike,
     here: tuple[ArrayLike, ArrayLike],
     best_a_deg: ArrayLike,

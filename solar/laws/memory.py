@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from solar.frames import Array
-from solar.laws.light import FACES_NEEDED, Light, light_from_faces, tell_beam, usable_faces
-from solar.laws.site import Learned, SiteLearning
+from solar.laws.light import FACES_NEEDED, Light, is_beam_observable, light_from_faces, usable_faces
+from solar.laws.site import LearnedSite, SiteLearning
 
-Flags = NDArray[np.bool_]
+BoolArray = NDArray[np.bool_]
 
 THRIFT_RANGE = (0.1, 100.0)
 """Least and greatest weight of wear against harvest."""
@@ -30,9 +30,9 @@ class OptimalSettings:
         Of the two memories of the beam.
     diffuse_half_life_s
         Of the quick memory of the diffuse light, which changes less than the beam; the slow one is for both.
-    unrest_weight, slow_share_max
-        The slow memory's share of the expected light is `unrest_weight` times the beam's relative deviation between the
-        two memories, averaged over the slow one's time, and at most `slow_share_max`.
+    variability_weight, slow_share_max
+        The slow memory's share of the expected light is `variability_weight` times the beam's relative deviation
+        between the two memories, averaged over the slow one's time, and at most `slow_share_max`.
     lead_s
         How far ahead of the last reading the sun is taken.
     rest_s
@@ -54,7 +54,7 @@ class OptimalSettings:
     quick_half_life_s: float = 100.0
     diffuse_half_life_s: float = 400.0
     slow_half_life_s: float = 720.0
-    unrest_weight: float = 0.3
+    variability_weight: float = 0.3
     slow_share_max: float = 0.8
     lead_s: float = 240.0
     rest_s: float = 600.0
@@ -80,15 +80,15 @@ class Expectation(NamedTuple):
     ----------
     light
         Expected over the next minutes.
-    unrest
+    beam_variability
         Relative deviation of the beam between quick and slow memory, averaged: 0 for an even sky.
     known
         Whether there is anything to go by: at least three good faces not long ago.
     """
 
     light: Light
-    unrest: Array
-    known: Flags
+    beam_variability: Array
+    known: BoolArray
 
 
 class LightMemory:
@@ -111,7 +111,9 @@ class LightMemory:
         What the newest readings show; NaN where they show nothing.
     """
 
-    def __init__(self, settings: OptimalSettings, shape: tuple[int, ...] = (), learned: Learned | None = None) -> None:
+    def __init__(
+        self, settings: OptimalSettings, shape: tuple[int, ...] = (), learned: LearnedSite | None = None
+    ) -> None:
         self._settings = settings
         self._shape = shape
         self.site = SiteLearning(shape, learned)
@@ -142,7 +144,7 @@ class LightMemory:
         faces = self.site.corrected(faces)
         usable = usable_faces(faces, sun)
         enough = (usable.sum(axis=-1) >= FACES_NEEDED) & (sun[..., 2] > 0.0)
-        good = enough & tell_beam(usable, sun)
+        good = enough & is_beam_observable(usable, sun)
         lights = np.array(light_from_faces(faces, sun, self.site.learned.albedo, usable)).swapaxes(0, 1)
         shares = 1.0 - 0.5 ** (elapsed[:, None, None] / self._half_lives_s)
         for each in zip(lights, good, enough & ~good, elapsed, shares, strict=True):
@@ -150,7 +152,7 @@ class LightMemory:
         self.light = Light(*np.where(good[-1], lights[-1], np.nan))
         self.site.observe(faces, sun, usable, lights[:, 0], elapsed)
 
-    def _remember(self, light: Array, good: Flags, blind: Flags, elapsed: Array, shares: Array) -> None:
+    def _remember(self, light: Array, good: BoolArray, blind: BoolArray, elapsed: Array, shares: Array) -> None:
         """Move each memory by its share towards the light of one reading, and all the way after a gap."""
         age_s = self._since_good_s + elapsed
         shares = np.where(good & ~(age_s <= self._settings.forget_after_s), 1.0, shares)
@@ -166,6 +168,6 @@ class LightMemory:
         # The scale keeps the unrest of a sky without beam at zero instead of at the noise of the sensors.
         quick, slow = self._light
         unrest = self._deviation / (slow[0] + 0.1 * slow[1] + 10.0)
-        share = np.minimum(settings.unrest_weight * np.sqrt(thrift) * unrest, settings.slow_share_max)
+        share = np.minimum(settings.variability_weight * np.sqrt(thrift) * unrest, settings.slow_share_max)
         light = Light(*((1.0 - share) * quick + share * slow))
         return Expectation(light, unrest, self._since_good_s <= settings.forget_after_s)

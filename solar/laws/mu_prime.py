@@ -7,9 +7,9 @@ from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
-from solar.laws.steer import by_the_mean
-from solar.laws.three_faces import ThreeFacesLaw, completed
-from solar.laws.words import towards_light
+from solar.laws.steer import steer_by_mean
+from solar.laws.three_faces import ThreeFacesLaw, fill_missing_face
+from solar.laws.words import light_reason
 from solar.rows.group import TrackerGroup
 
 
@@ -41,12 +41,12 @@ class MuPrimeLaw(ThreeFacesLaw, DirectionLaw):
         """Return mu'; none without a mean, nor by three faces while the sun's position is in doubt."""
         if now.mean_w_m2 is None:
             return NO_DIRECTION
-        faces = completed(now.mean_w_m2, to_sun) if now.sun_known else np.asarray(now.mean_w_m2)
+        faces = fill_missing_face(now.mean_w_m2, to_sun) if now.sun_known else np.asarray(now.mean_w_m2)
         return paper.mu_prime(faces, uniform_threshold=self._settings.uniform_threshold)
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
         """Return where the light comes from."""
-        return towards_light(azimuth_deg, elevation_deg)
+        return light_reason(azimuth_deg, elevation_deg)
 
 
 SETTINGS = MuPrimeSettings
@@ -64,6 +64,6 @@ def steer(
     sun = weather.gridded(weather.sun, np.nan)
 
     def direction(mean: Array) -> Array:
-        return paper.mu_prime(completed(mean, sun), uniform_threshold=settings.uniform_threshold)
+        return paper.mu_prime(fill_missing_face(mean, sun), uniform_threshold=settings.uniform_threshold)
 
-    return by_the_mean(weather, faces, limits, direction, group=group)
+    return steer_by_mean(weather, faces, limits, direction, group=group)

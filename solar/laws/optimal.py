@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from solar.frames import Array, Limits, angles_within, bounded
-from solar.laws.in_rows import best_among, taken_by_neighbours
-from solar.laws.light import Light, aim_vector, as_far_as_it_pays, product, within_reach
-from solar.laws.memory import Expectation, Flags, LightMemory, OptimalSettings
-from solar.laws.site import Learned, SiteLearning
+from solar.laws.in_rows import best_poses_of_group, taken_by_neighbours
+from solar.laws.light import Light, aim_vector, dot_with_normal, economical_pose, without_unreachable_beam
+from solar.laws.memory import BoolArray, Expectation, LightMemory, OptimalSettings
+from solar.laws.site import LearnedSite, SiteLearning
 from solar.rows.group import TrackerGroup
 
 _SUNNY_W_M2 = 500.0
@@ -48,7 +48,7 @@ class Choice(NamedTuple):
 
     a_deg: Array
     b_deg: Array
-    move: Flags
+    move: BoolArray
     gain_w_m2: Array
     price_w_m2: Array
     vector: Array
@@ -81,7 +81,7 @@ class OptimalLaw:
         settings: OptimalSettings,
         limits: Limits,
         shape: tuple[int, ...] = (),
-        learned: Learned | None = None,
+        learned: LearnedSite | None = None,
         group: TrackerGroup | None = None,
     ) -> None:
         self._settings = settings
@@ -94,9 +94,9 @@ class OptimalLaw:
     def new_day(self) -> None:
         """Take over what the past day taught of the site, and open a new budget."""
         self.site.end_of_day()
-        self.open_budget()
+        self.reset_budget()
 
-    def open_budget(self) -> None:
+    def reset_budget(self) -> None:
         """Begin the day's budget: nothing has been travelled yet."""
         self._travelled_deg = np.zeros(self._shape)
         self._moves = np.zeros(self._shape)
@@ -168,17 +168,17 @@ class OptimalLaw:
         expected = self.expect(thrift)
         a, b = np.asarray(a_deg, dtype=np.float64), np.asarray(b_deg, dtype=np.float64)
         sun = np.asarray(sun, dtype=np.float64)
-        vector = aim_vector(within_reach(expected.light, sun, self._limits), sun, self.site.learned.albedo)
+        vector = aim_vector(without_unreachable_beam(expected.light, sun, self._limits), sun, self.site.learned.albedo)
         # Where the light is unknown the tracker follows the sun, with gains weighed as on a sunny day.
         vector = np.where(expected.known[..., None], vector, _SUNNY_W_M2 * sun)
         alone = angles_within(vector, self._limits)
         per_degree = thrift * self._settings.price_per_degree_w_m2
-        best_a, best_b = as_far_as_it_pays(vector, (a, b), alone[0], per_degree, self._limits)
+        best_a, best_b = economical_pose(vector, (a, b), alone[0], per_degree, self._limits)
         shade_w_m2 = np.zeros(self._shape)
         if self._group is not None:
             beam = np.where(expected.known, expected.light.beam, _SUNNY_W_M2)
             suns = [sun] if later is None else [sun, np.asarray(later, dtype=np.float64)]
-            best = best_among(self._group, vector, beam, suns, alone, self._limits)
+            best = best_poses_of_group(self._group, vector, beam, suns, alone, self._limits)
             # Stop short of the best pose only where neither pose has shade: the last degree may be what ends it.
             shaded = (taken_by_neighbours(self._group, beam, suns, best_a, best_b) > 0.0) | (best[0] != alone[0])
             shaded = shaded | (best[1] != alone[1])
@@ -186,7 +186,7 @@ class OptimalLaw:
             here, there = (taken_by_neighbours(self._group, beam, suns, *pose) for pose in ((a, b), (best_a, best_b)))
             shade_w_m2 = here - there
         distance = np.abs(best_a - a) + np.abs(best_b - b)
-        gain = product(vector, best_a, best_b) - product(vector, a, b) + shade_w_m2
+        gain = dot_with_normal(vector, best_a, best_b) - dot_with_normal(vector, a, b) + shade_w_m2
         price = thrift * (self._settings.price_per_move_w_m2 + self._settings.price_per_degree_w_m2 * distance)
         move = (gain > price) & (sun[..., 2] > 0.0) & self.affords(distance)
         return Choice(
@@ -219,10 +219,10 @@ class OptimalLaw:
         pressure = bounded(bounded(daylight_left, 0.0, 1.0) / left, 1.0, _MOST_PRESSURE)
         return settings.thrift * pressure**settings.pacing
 
-    def affords(self, distance_deg: ArrayLike) -> Flags:
+    def affords(self, distance_deg: ArrayLike) -> BoolArray:
         """Tell whether one more move of this length [deg] stays within the day's budget."""
         settings = self._settings
-        result: Flags = (self._travelled_deg + np.asarray(distance_deg) <= settings.travel_per_day_deg) & (
+        result: BoolArray = (self._travelled_deg + np.asarray(distance_deg) <= settings.travel_per_day_deg) & (
             self._moves + 1 <= settings.moves_per_day
         )
         return result

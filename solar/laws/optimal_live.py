@@ -13,14 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import SunPosition, share_of_daylight_left, solar_days, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
-from solar.laws.heard import Heard
+from solar.laws.heard import ReadingHistory
 from solar.laws.law import Aim, Estimates, LawSettings, Moment, Reading, TrackerFacts
 from solar.laws.light import FACES_NEEDED, light_from_faces, usable_faces
 from solar.laws.memory import THRIFT_RANGE, OptimalSettings
 from solar.laws.optimal import Choice, OptimalLaw
-from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, Learned, SiteLearning
+from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, LearnedSite, SiteLearning
 from solar.laws.three_faces import ThreeFacesLaw
-from solar.laws.words import weighed
+from solar.laws.words import move_reason
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0
@@ -49,14 +49,14 @@ class LiveOptimalSettings(LawSettings):
     )
     moves_per_day: int = Field(250, ge=1, le=1440, description="Moves in a day that are never exceeded.")
 
-    def of_the_law(self) -> OptimalSettings:
+    def optimal_settings(self) -> OptimalSettings:
         """Return the law's own settings."""
         return OptimalSettings(
             thrift=self.thrift, travel_per_day_deg=self.travel_per_day_deg, moves_per_day=self.moves_per_day
         )
 
 
-class Kept(BaseModel):
+class OptimalState(BaseModel):
     """Albedo and relative gains of the vertical faces, and the budget used on a solar day (counted from 1970)."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -70,9 +70,9 @@ class Kept(BaseModel):
     moves: int = Field(0, ge=0)
 
     @property
-    def learned(self) -> Learned:
+    def learned(self) -> LearnedSite:
         """The albedo and gains, as the law uses them."""
-        return Learned(self.albedo, self.gain_east, self.gain_south, self.gain_west)
+        return LearnedSite(self.albedo, self.gain_east, self.gain_south, self.gain_west)
 
 
 class LiveOptimal(ThreeFacesLaw):
@@ -89,9 +89,9 @@ class LiveOptimal(ThreeFacesLaw):
     def __init__(self, settings: LiveOptimalSettings, tracker: TrackerFacts) -> None:
         super().__init__(tracker)
         self.decide_every_s = DECIDE_EVERY_S
-        self._fresh = Learned(min(max(settings.albedo, ALBEDO_RANGE[0]), ALBEDO_RANGE[1]))
-        self._settings = settings.of_the_law()
-        kept = None if tracker.kept is None else Kept.model_validate(tracker.kept)
+        self._fresh = LearnedSite(min(max(settings.albedo, ALBEDO_RANGE[0]), ALBEDO_RANGE[1]))
+        self._settings = settings.optimal_settings()
+        kept = None if tracker.kept is None else OptimalState.model_validate(tracker.kept)
         known = self._fresh if kept is None else kept.learned
         self._law = OptimalLaw(self._settings, self.limits, learned=known, group=tracker.group)
         self._day = int(solar_days(tracker.utc_s, self.site.longitude_deg))
@@ -99,9 +99,9 @@ class LiveOptimal(ThreeFacesLaw):
             self._law.resume(kept.travelled_deg, kept.moves)
         # Keep what a later day has used: a machine without a clock of its own is in 1970 until its time is set.
         self._later_day = kept if kept is not None and kept.day > self._day else None
-        first = Heard(self.site, tracker.scan_every_s, self._day, self._law.memory)
+        first = ReadingHistory(self.site, tracker.scan_every_s, self._day, self._law.memory)
         alike = (type(self), self.site, tracker.scan_every_s, self._day, *self._law.site.learned.to_dict().values())
-        self._heard_link: Heard = tracker.common.setdefault(alike, first)
+        self._heard_link: ReadingHistory = tracker.common.setdefault(alike, first)
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was learned, and what the day has used of its budget."""
@@ -117,13 +117,13 @@ class LiveOptimal(ThreeFacesLaw):
         return {"learned": learned, "today": {name: learned.pop(name) for name in ("travelled_deg", "moves")}}
 
     @property
-    def learned(self) -> Learned:
+    def learned(self) -> LearnedSite:
         """What was learned; another object when it has changed."""
         return self._heard_link.learned
 
     def relearn(self) -> None:
         """Forget what was learned of the site."""
-        self._heard_link = self._heard_link.relearned(self._fresh)
+        self._heard_link = self._heard_link.with_learned(self._fresh)
 
     def turn(self, utc_s: float) -> bool:
         """Begin a new day when the sun has passed its lowest point since the last call, or resume a later one."""
@@ -134,7 +134,7 @@ class LiveOptimal(ThreeFacesLaw):
         self._later_day = before if day < self._day else None
         self._day = day
         self._heard_link = self._heard_link.on(day)
-        self._law.open_budget()
+        self._law.reset_budget()
         if later is not None and later.day == day:
             self._law.resume(later.travelled_deg + before.travelled_deg, later.moves + before.moves)
         return True
@@ -165,7 +165,7 @@ class LiveOptimal(ThreeFacesLaw):
         azimuth, elevation = azimuth_from_direction(choice.vector, self.site[0])
         moves = bool(choice.move)
         hindered = self._hindrance(choice, directions[1])
-        why = weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves, hindered=hindered)
+        why = move_reason(float(choice.gain_w_m2), float(choice.price_w_m2), moves=moves, hindered=hindered)
         target = Angles(float(choice.a_deg), float(choice.b_deg)) if moves else None
         light = self._law.light
         return Aim(
@@ -187,7 +187,7 @@ class LiveOptimal(ThreeFacesLaw):
         """Charge a move that was ordered to the day's budget."""
         self._law.book(distance_deg)
 
-    def estimates(self, faces: Array, sun: Array, learned: Learned) -> Estimates:
+    def estimates(self, faces: Array, sun: Array, learned: LearnedSite) -> Estimates:
         """Return the light that each reading shows by itself."""
         readings = SiteLearning(learned=learned).corrected(faces)
         usable = usable_faces(readings, sun)
@@ -207,8 +207,8 @@ class LiveOptimal(ThreeFacesLaw):
             return ""
         return _BUDGET_FORBIDS if sun_ahead[2] > 0.0 else "the sun is about to set"
 
-    def _state_to_keep(self) -> Kept:
-        return Kept(
+    def _state_to_keep(self) -> OptimalState:
+        return OptimalState(
             **self.learned.to_dict(),
             day=self._day,
             travelled_deg=float(self._law.travelled_deg),
@@ -225,7 +225,7 @@ def steer(
     weather: DaylightWeather,
     faces: Array,
     limits: Limits,
-    start: Learned | None = None,
+    start: LearnedSite | None = None,
     group: TrackerGroup | None = None,
 ) -> Steer:
     """Run the law on many days at once; what each day teaches of the site serves the days after it.
@@ -241,7 +241,7 @@ def steer(
     group
         The tracker with its neighbours; None for a tracker alone.
     """
-    plan = settings.of_the_law()
+    plan = settings.optimal_settings()
     days = weather.shape[1]
     grid = weather.gridded(faces, np.nan)
     sun = weather.gridded(weather.sun, 0.0)
@@ -269,7 +269,7 @@ def daylight_left(weather: DaylightWeather) -> Array:
     return left
 
 
-def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None = None) -> Learned:
+def learned_by_day(weather: DaylightWeather, faces: Array, start: LearnedSite | None = None) -> LearnedSite:
     """Return what is known of the site on the morning of each day, arrays of shape (days,).
 
     What the faces teach does not depend on where the tracker points, so this can be known before it is driven.
@@ -286,4 +286,4 @@ def learned_by_day(weather: DaylightWeather, faces: Array, start: Learned | None
         site.observe(corrected, sun, usable, beam, weather.step_s)
         site.end_of_day()
         known.append(site.learned)
-    return Learned(*(np.array([float(getattr(each, name)) for each in known]) for name in Learned.__slots__))
+    return LearnedSite(*(np.array([float(getattr(each, name)) for each in known]) for name in LearnedSite.__slots__))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from solar.frames import Array, vectors
+from solar.frames import Array, as_vectors
 
 _FACES = ("east", "south", "west", "zenith")
 _ABSURD_W_M2 = 1e6
@@ -122,7 +122,7 @@ def complete_poleward(vector: ArrayLike, sun_direction: ArrayLike) -> Array:
 
 def chronometric(sun_direction: ArrayLike) -> Array:
     """Return the sun's direction(s), shape (..., 3), NaN where below the horizon; `ValueError` for another shape."""
-    sun = vectors(sun_direction)
+    sun = as_vectors(sun_direction)
     return np.where(sun[..., 2:] > 0, sun, np.nan)
 
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from solar.frames import Array, joined
+from solar.frames import Array, stack_components
 
 ALBEDO_RANGE = (0.0, 0.9)
 GAIN_RANGE = (0.93, 1.07)
@@ -36,7 +36,7 @@ _MOST_LEFT_OUT_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
-class Learned:
+class LearnedSite:
     """Albedo of the ground and gains of the vertical faces; readings are divided by their gain.
 
     Arrays of the law's shape, or floats.
@@ -81,15 +81,15 @@ class SiteLearning:
         To begin with.
     """
 
-    def __init__(self, shape: tuple[int, ...] = (), learned: Learned | None = None) -> None:
+    def __init__(self, shape: tuple[int, ...] = (), learned: LearnedSite | None = None) -> None:
         self._shape = shape
-        self.learned = learned or Learned()
-        self._sums = no_sums(shape)
+        self.learned = learned or LearnedSite()
+        self._sums = zero_sums(shape)
 
     def corrected(self, faces: ArrayLike) -> Array:
         """Return the faces [W/m2], shape (..., 4), divided by their gains."""
         corrected = np.array(faces, dtype=np.float64)
-        corrected[..., :3] /= joined(self.learned.gain_east, self.learned.gain_south, self.learned.gain_west)
+        corrected[..., :3] /= stack_components(self.learned.gain_east, self.learned.gain_south, self.learned.gain_west)
         return corrected
 
     def observe(
@@ -111,16 +111,16 @@ class SiteLearning:
 
     def end_of_day(self) -> None:
         """Take a step towards what the day showed, and begin another."""
-        self.learned = step(self.learned, self._sums)
-        self._sums = no_sums(self._shape)
+        self.learned = update_learned(self.learned, self._sums)
+        self._sums = zero_sums(self._shape)
 
     def reset(self) -> None:
         """Forget everything."""
-        self.learned = Learned()
-        self._sums = no_sums(self._shape)
+        self.learned = LearnedSite()
+        self._sums = zero_sums(self._shape)
 
 
-def no_sums(shape: tuple[int, ...]) -> DaySums:
+def zero_sums(shape: tuple[int, ...]) -> DaySums:
     """Return the sums of a day that has not begun."""
     return DaySums(*(np.zeros(shape) for _ in DaySums._fields))
 
@@ -144,7 +144,7 @@ def _sums_of(faces: Array, sun: Array, beam: Array, seconds: Array) -> DaySums:
     )
 
 
-def step(learned: Learned, sums: DaySums) -> Learned:
+def update_learned(learned: LearnedSite, sums: DaySums) -> LearnedSite:
     """Return what is known after a day with these sums: at most a fifth of the way to what it showed."""
     teaches = np.where(sums.left_out_s > _MOST_LEFT_OUT_S, 0.0, 1.0)
     sums = DaySums(*(teaches * total for total in sums))
@@ -155,7 +155,7 @@ def step(learned: Learned, sums: DaySums) -> Learned:
     east, west = _step_towards(east, sums.east_s, sums.east, east), _step_towards(west, sums.west_s, sums.west, west)
     south = -(east + west) / 3.0
     low, high = GAIN_RANGE
-    return Learned(
+    return LearnedSite(
         np.clip(albedo, *ALBEDO_RANGE),
         np.clip(np.exp(south + east), low, high),
         np.clip(np.exp(south), low, high),

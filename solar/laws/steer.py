@@ -10,7 +10,7 @@ from solar.ephemeris import sun_direction
 from solar.frames import Angles, Array, Limits, angles_within
 from solar.laws.answers import checked_aim
 from solar.laws.law import Faces, Law, Moment, Reading, TrackerFacts
-from solar.rows.backtrack import turned_back
+from solar.rows.backtrack import backtracked_poses
 from solar.rows.group import TrackerGroup
 
 PAPER_EVERY_S = 300.0
@@ -21,24 +21,24 @@ class LawFailedError(RuntimeError):
     """A law raised an error, or its answer was invalid, as the cause says; the text is the day, UTC."""
 
 
-def or_stay(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:
+def known_pose_or_present(a_deg: Array, b_deg: Array, a_now: Array, b_now: Array) -> tuple[Array, Array]:
     """Return the first pose [deg] where it is known, and the second one elsewhere."""
     known = np.isfinite(a_deg + b_deg)
     return np.where(known, a_deg, a_now), np.where(known, b_deg, b_now)
 
 
-def towards(weather: DaylightWeather, directions: Array, limits: Limits, late_steps: int = 0) -> Steer:
+def steer_towards(weather: DaylightWeather, directions: Array, limits: Limits, late_steps: int = 0) -> Steer:
     """Point along the direction of each instant, shape (n, 3), at once or `late_steps` late."""
     a_deg, b_deg = (weather.gridded(angle, np.nan) for angle in angles_within(directions, limits))
 
     def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
         shown = step - late_steps
-        return or_stay(a_deg[shown], b_deg[shown], a, b) if shown >= 0 else (a, b)
+        return known_pose_or_present(a_deg[shown], b_deg[shown], a, b) if shown >= 0 else (a, b)
 
     return steer
 
 
-def by_the_mean(
+def steer_by_mean(
     weather: DaylightWeather,
     faces: Array,
     limits: Limits,
@@ -67,15 +67,19 @@ def by_the_mean(
         rests_s = every * weather.step_s
         suns = (weather.sun, sun_direction(weather.utc_s + rests_s, *weather.site))
         instants = [weather.gridded(sun, np.nan)[asked] for sun in suns]
-        a_deg[asked], b_deg[asked] = turned_back(group, instants, a_deg[asked], b_deg[asked], limits)
+        a_deg[asked], b_deg[asked] = backtracked_poses(group, instants, a_deg[asked], b_deg[asked], limits)
 
     def steer(step: int, a: Array, b: Array) -> tuple[Array, Array]:
-        return or_stay(a_deg[step - 1], b_deg[step - 1], a, b) if step > 0 and step % every == 0 else (a, b)
+        return (
+            known_pose_or_present(a_deg[step - 1], b_deg[step - 1], a, b) if step > 0 and step % every == 0 else (a, b)
+        )
 
     return steer
 
 
-def by_readings(build: Callable[[TrackerFacts], Law], weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
+def steer_by_readings(
+    build: Callable[[TrackerFacts], Law], weather: DaylightWeather, faces: Array, limits: Limits
+) -> Steer:
     """Run any law as the service would, a law of its own for each day; nothing is learned from one day for the next.
 
     Parameters
@@ -83,7 +87,7 @@ def by_readings(build: Callable[[TrackerFacts], Law], weather: DaylightWeather, 
     build
         Returns a law for a tracker.
     weather, faces, limits
-        As for :func:`by_the_mean`.
+        As for :func:`steer_by_mean`.
 
     Raises
     ------

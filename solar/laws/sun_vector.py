@@ -7,9 +7,9 @@ from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
-from solar.laws.steer import by_the_mean
-from solar.laws.three_faces import ThreeFacesLaw, completed
-from solar.laws.words import towards_sun
+from solar.laws.steer import steer_by_mean
+from solar.laws.three_faces import ThreeFacesLaw, fill_missing_face
+from solar.laws.words import sun_reason
 
 
 class SunVectorSettings(LawSettings):
@@ -34,7 +34,7 @@ class SunVectorSettings(LawSettings):
         description="Standard error of a face's gain, as a share; a beam that such errors may explain is ignored.",
     )
 
-    def seen(self, faces: Array | tuple[float, ...]) -> Array:
+    def direction_from_faces(self, faces: Array | tuple[float, ...]) -> Array:
         """Return the direction that the faces show, shape (..., 3)."""
         return paper.sun_vector(
             faces,
@@ -62,12 +62,12 @@ class SunVectorLaw(ThreeFacesLaw, DirectionLaw):
         if now.mean_w_m2 is None:
             return NO_DIRECTION
         if not now.sun_known:
-            return self._settings.seen(now.mean_w_m2)
+            return self._settings.direction_from_faces(now.mean_w_m2)
         return _seen_direction(self._settings, np.asarray(now.mean_w_m2), to_sun)
 
     def reason(self, azimuth_deg: float, elevation_deg: float) -> str:
         """Return where the sun is seen."""
-        return towards_sun(azimuth_deg, elevation_deg)
+        return sun_reason(azimuth_deg, elevation_deg)
 
 
 SETTINGS = SunVectorSettings
@@ -77,9 +77,9 @@ build = SunVectorLaw
 def steer(settings: SunVectorSettings, weather: DaylightWeather, faces: Array, limits: Limits) -> Steer:
     """Run the law on many days at once, in the paper's rhythm."""
     sun = weather.gridded(weather.sun, np.nan)
-    return by_the_mean(weather, faces, limits, lambda mean: _seen_direction(settings, mean, sun))
+    return steer_by_mean(weather, faces, limits, lambda mean: _seen_direction(settings, mean, sun))
 
 
 def _seen_direction(settings: SunVectorSettings, faces: Array, sun: Array) -> Array:
-    whole = completed(faces, sun, settings.albedo)
-    return paper.complete_poleward(settings.seen(whole), sun)
+    whole = fill_missing_face(faces, sun, settings.albedo)
+    return paper.complete_poleward(settings.direction_from_faces(whole), sun)

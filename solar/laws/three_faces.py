@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from solar.frames import Array
 from solar.laws.law import Faces, Law
-from solar.laws.light import FACES_NEEDED, light_from_faces, on_faces, usable_faces, zenith_usable
+from solar.laws.light import FACES_NEEDED, irradiance_on_faces, is_zenith_usable, light_from_faces, usable_faces
 
 
 class ThreeFacesLaw(Law):
@@ -19,10 +19,10 @@ class ThreeFacesLaw(Law):
 
     def believes_zenith(self, faces_w_m2: Faces, utc_s: float) -> bool:  # noqa: ARG002
         """Whether the zenith face of a mean [W/m2] can be believed beside the other three."""
-        return bool(zenith_usable(faces_w_m2))
+        return bool(is_zenith_usable(faces_w_m2))
 
 
-def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
+def fill_missing_face(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Array:
     """Return the faces; one that tells nothing is replaced by what the light that the other three show puts on it.
 
     Parameters
@@ -44,4 +44,4 @@ def completed(faces: ArrayLike, sun: ArrayLike, albedo: ArrayLike = 0.2) -> Arra
     if not alone.any():
         return readings
     light = light_from_faces(readings, sun, albedo, known)
-    return np.where(alone, on_faces(light, sun, albedo), readings)
+    return np.where(alone, irradiance_on_faces(light, sun, albedo), readings)

@@ -51,7 +51,7 @@ def out_of_shade(
     """
     a, b = (np.array(angle, dtype=np.float64) for angle in np.broadcast_arrays(a_deg, b_deg))
     instants = _instants(suns, a.shape)
-    shares = [group.worst_share(sun, a, b) for sun in instants]
+    shares = [group.worst_shaded_share(sun, a, b) for sun in instants]
     known = np.isfinite(a) & np.isfinite(b) & np.isfinite(instants).all(axis=(0, -1))
     shaded = np.flatnonzero((np.max(shares, axis=0) > _FREE_SHARE) & known)
     rows = instants.reshape(len(instants), -1, 3)
@@ -62,7 +62,7 @@ def out_of_shade(
     return found_a.reshape(a.shape), found_b.reshape(b.shape)
 
 
-def turned_back(
+def backtracked_poses(
     group: TrackerGroup, suns: Sequence[ArrayLike], a_deg: ArrayLike, b_deg: ArrayLike, limits: Limits
 ) -> tuple[Array, Array]:
     """Return the poses of `out_of_shade`; a group with `only_if_it_pays` turns only where it gets more beam by that."""
@@ -89,18 +89,18 @@ def _instants(suns: Sequence[ArrayLike], shape: tuple[int, ...]) -> Array:
 
 def _nearest(group: TrackerGroup, suns: Array, a: Array, b: Array, limits: Limits) -> tuple[Array, Array]:
     wanted = normal_from_angles(a, b)
-    tries_a, tries_b = (angles[None, :] for angles in lattice(limits, _COARSE_DEG))
+    tries_a, tries_b = (angles[None, :] for angles in pose_grid(limits, _COARSE_DEG))
     reach = _COARSE_DEG
     for _ in range(_REFINEMENTS):
         best_a, best_b = _best(group, suns, wanted, tries_a, tries_b)
-        tries_a, tries_b = closer(best_a, best_b, reach, limits)
+        tries_a, tries_b = poses_around(best_a, best_b, reach, limits)
         reach /= _REFINING_FACTOR
     return _best(group, suns, wanted, tries_a, tries_b)
 
 
 def _best(group: TrackerGroup, suns: Array, wanted: Array, tries_a: Array, tries_b: Array) -> tuple[Array, Array]:
     """Return the best try of each row: the nearest without shade and no steeper than wanted, if there is one."""
-    share = np.max([group.worst_share(sun[:, None, :], tries_a, tries_b) for sun in suns], axis=0)
+    share = np.max([group.worst_shaded_share(sun[:, None, :], tries_a, tries_b) for sun in suns], axis=0)
     tries = normal_from_angles(tries_a, tries_b)
     cost = np.sum((tries - wanted[:, None, :]) ** 2, axis=-1)
     cost += np.where(tries[..., 2] < wanted[:, None, 2] - _STEEPNESS_TOLERANCE, _STEEPER_COST, 0.0)
@@ -110,7 +110,7 @@ def _best(group: TrackerGroup, suns: Array, wanted: Array, tries_a: Array, tries
     return chosen[0][:, 0], chosen[1][:, 0]
 
 
-def lattice(limits: Limits, step_deg: float) -> tuple[Array, Array]:
+def pose_grid(limits: Limits, step_deg: float) -> tuple[Array, Array]:
     """Return poses all over the limits, ends included, no further apart than a step [deg]: two arrays, shape (n,)."""
     axes = [
         np.linspace(low, high, int(np.ceil((high - low) / step_deg)) + 1)
@@ -120,7 +120,7 @@ def lattice(limits: Limits, step_deg: float) -> tuple[Array, Array]:
     return a_deg.ravel(), b_deg.ravel()
 
 
-def closer(a_deg: Array, b_deg: Array, reach_deg: float, limits: Limits) -> tuple[Array, Array]:
+def poses_around(a_deg: Array, b_deg: Array, reach_deg: float, limits: Limits) -> tuple[Array, Array]:
     """Return 49 poses [deg] around each of (n,), inside the limits, shape (n, 49); the middle one is the pose."""
     by_a, by_b = (reach_deg * steps.ravel() for steps in np.meshgrid(_FINE, _FINE, indexing="ij"))
     return (

@@ -92,7 +92,7 @@ class TrackerGroup:
         self._distinct_m = np.unique(self.offsets_m.reshape(-1, 3), axis=0)
 
     @classmethod
-    def on_map(
+    def from_map(
         cls,
         east_m: Sequence[float],
         north_m: Sequence[float],
@@ -113,7 +113,7 @@ class TrackerGroup:
         """Return the group itself: nothing changes it, so the copy of a law can share it."""
         return self
 
-    def worst_share(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
+    def worst_shaded_share(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Array:
         """Return the largest share [0..1] that one module shades of another, with all in this pose.
 
         `sun`, shape (..., 3), and the angles [deg] broadcast together. 1 where the modules turn their backs to the
@@ -126,7 +126,7 @@ class TrackerGroup:
         return result
 
     def shade(self, sun: ArrayLike, a_deg: ArrayLike, b_deg: ArrayLike) -> Shade:
-        """Return the mean over all modules of the group, with all in this pose; parameters as for `worst_share`.
+        """Return the mean over all modules of the group, with all in this pose; parameters as for `worst_shaded_share`.
 
         A module that turns its back to the sun has no beam, and nothing is taken from it.
         """

@@ -9,10 +9,10 @@ from daemon.config.links import MqttSettings
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
 from daemon.service.operator import CommandError, Operator
-from daemon.service.operator_commands import NAMES, Operators
-from daemon.service.recent import Recent
+from daemon.service.operator_commands import COMMAND_NAMES, Operators
+from daemon.service.recent import RecentRecords
 from daemon.service.snapshot import snapshot
-from daemon.studies.campaign.door import DirectDoor, DoorReply
+from daemon.studies.campaign.door import CommandReply, DirectCommandChannel
 
 _TOKEN = "t" * 43
 _DONE_BY_MQTT_S = 30.0
@@ -40,10 +40,10 @@ class Http:
             raise AssertionError(f"{name} is answered with {status}: {found}")
         if status != 200:
             raise CommandError(found["error"], wrong=status == 422)
-        return DoorReply(found["done"], found["text"])
+        return CommandReply(found["done"], found["text"])
 
     async def _post(self, service, name, body):
-        recent = Recent()
+        recent = RecentRecords()
         operators = Operators(service.trackers, 1.0)
         app = Api(lambda: snapshot(service, recent, 1.0, None, {}), recent, operators, _TOKEN, service.clock, 1.0).app
         sent = []
@@ -65,7 +65,7 @@ class Mqtt:
     """Messages as they come from a broker."""
 
     def has(self, name):
-        return name in NAMES
+        return name in COMMAND_NAMES
 
     async def give(self, service, name, value, why, place=0):
         replies = asyncio.Queue()
@@ -76,7 +76,7 @@ class Mqtt:
             reply = SimpleNamespace(**await replies.get())
         if not reply.accepted:
             raise CommandError(reply.text)
-        return DoorReply(reply.done, reply.text)
+        return CommandReply(reply.done, reply.text)
 
 
-DOORS = {"direct": DirectDoor(), "HTTP": Http(), "MQTT": Mqtt()}
+DOORS = {"direct": DirectCommandChannel(), "HTTP": Http(), "MQTT": Mqtt()}

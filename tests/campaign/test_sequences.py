@@ -5,9 +5,9 @@ from random import Random
 import pytest
 
 from daemon.base.records import Mode
-from daemon.studies.campaign.person import known
+from daemon.studies.campaign.person import known_commands
 from daemon.studies.campaign.run import run_schedule
-from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
 from tests.campaign.doors import DOORS
 
 BEGUN_S = 150.0
@@ -15,11 +15,11 @@ FAR = (-45.0, 30.0)
 
 
 def fault(at_s, name, lasts_s=0.0, *value):
-    return Happening(at_s, "fault", name, value, lasts_s)
+    return ScheduledEvent(at_s, "fault", name, value, lasts_s)
 
 
 def command(at_s, name, *value):
-    return Happening(at_s, "command", name, value)
+    return ScheduledEvent(at_s, "command", name, value)
 
 
 FAR_MOVE = (command(BEGUN_S, "goto", *FAR),)
@@ -81,7 +81,7 @@ def schedule(phase, after_s, commands, *, rehome="automatic"):
 
 @pytest.mark.parametrize(("phase", "after_s", "door"), CASES)
 def test_a_stop_given_in_any_phase_stays_in_force_against_every_other_command(phase, after_s, door):
-    chosen = schedule(phase, after_s, known(DOORS[door]))
+    chosen = schedule(phase, after_s, known_commands(DOORS[door]))
     outcome = run_schedule(chosen, DOORS[door], heal=False)
     assert not outcome.violations, "\n".join([*map(str, outcome.violations), chosen.text()])
 
@@ -122,4 +122,4 @@ def test_the_last_of_stop_and_auto_wins_over_any_mix_of_interfaces_and_across_a_
     outcome = run_schedule(chosen, AnyDoor(random), heal=False)
     assert not outcome.violations, "\n".join([*map(str, outcome.violations), chosen.text()])
     last = {"stop": Mode.HOLD, "auto": Mode.TRACKING}[events[-1].name]
-    assert outcome.entered[-1][1] is last, chosen.text()
+    assert outcome.entered_modes[-1][1] is last, chosen.text()

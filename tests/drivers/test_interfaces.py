@@ -21,4 +21,4 @@ def test_telemetry_turns_numpy_numbers_of_a_driver_into_python_numbers():
 
 def test_telemetry_repeated_at_a_later_time_keeps_all_other_values():
     look = Telemetry(5.0, -12.5, 60.25, 1.0, 2.0, 3.0, 4.0, faults=("a_cable",), supply_v=24.0, details={"mode": "ok"})
-    assert look.again(7.5) == replace(look, time_monotonic_s=7.5, status_monotonic_s=7.5)
+    assert look.with_time(7.5) == replace(look, time_monotonic_s=7.5, status_monotonic_s=7.5)

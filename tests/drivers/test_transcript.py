@@ -2,9 +2,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.transcript import Piece, line_of, parse
+from drivers.transcript import TranscriptEntry, line_of, parse
 
-PIECES = st.builds(Piece, st.integers(0, 10**9).map(lambda ms: ms / 1000), st.sampled_from("<>"), st.binary())
+PIECES = st.builds(TranscriptEntry, st.integers(0, 10**9).map(lambda ms: ms / 1000), st.sampled_from("<>"), st.binary())
 
 
 @given(st.lists(PIECES))

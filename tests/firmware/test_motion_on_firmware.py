@@ -50,7 +50,7 @@ def test_a_target_ordered_while_the_previous_move_brakes_is_reached_without_a_wa
             caplog.clear()
             records.clear()
             while len([one for one in records if isinstance(one, Move)]) < len(MOVES):
-                if motion.connected and motion.blocked is None and motion.resting and left:
+                if motion.connected and motion.blocked is None and motion.is_idle and left:
                     motion.order(left.pop(0))
                 # When a move counts as arrived, the unit may still be braking.
                 await asyncio.sleep(0.005)

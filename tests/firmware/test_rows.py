@@ -260,13 +260,20 @@ def test_simulated_unit_and_firmware_print_geometry_ranges_supply_and_mode_alike
     [
         replace(A_ACTUATOR, holder_mm=39.6),
         replace(A_ACTUATOR, zero_offset_mm=5.0),
-        Actuator(300.0, 280.0, 100.0, 52.0, -52.0, raises=False),
+        Actuator(300.0, 280.0, 100.0, 52.0, -52.0, extension_raises_angle=False),
     ],
     ids=["holder", "zero offset", "lowers"],
 )
 def test_simulated_unit_and_firmware_give_targets_of_other_triangles_the_same_destinations(unit, actuator):
-    angle_deg = -actuator.apex_deg if actuator.raises else 180.0 - actuator.apex_deg
-    sides = (actuator.stator_mm, actuator.arm_1_mm, actuator.arm_2_mm, 0.0, actuator.holder_mm, float(actuator.raises))
+    angle_deg = -actuator.apex_deg if actuator.extension_raises_angle else 180.0 - actuator.apex_deg
+    sides = (
+        actuator.stator_mm,
+        actuator.arm_1_mm,
+        actuator.arm_2_mm,
+        0.0,
+        actuator.holder_mm,
+        float(actuator.extension_raises_angle),
+    )
     for code, value in [*enumerate((*sides, angle_deg, 0.0), start=70), (192, actuator.zero_offset_mm)]:
         after(unit, b"$%c%.4f\r" % (code, value), 60)
     unit.step(500)

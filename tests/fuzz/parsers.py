@@ -17,15 +17,15 @@ from daemon.base.errors import UserError
 from daemon.base.records import Quality
 from daemon.bridge import senml, signing
 from daemon.bridge.receiver import BridgeReceiver
-from daemon.bridge.sequence import HELD_S
+from daemon.bridge.sequence import CUBE_TIMEOUT_S
 from daemon.config.file import load_settings
 from daemon.config.links import BridgeSettings, SafeInput, WindInput
 from daemon.cube.calibration import read_calibration
 from daemon.mqtt.connection import Incoming
 from daemon.mqtt.credentials import load_user
-from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.mqtt.safety_inputs import SafeInputStow, WindReadings
 from daemon.service.operator import CommandError
-from daemon.service.operator_commands import NAMES, parse
+from daemon.service.operator_commands import COMMAND_NAMES, parse
 from daemon.studies import recorded
 from drivers.cube.scanning.dialects import DIALECTS
 from drivers.cube.scanning.meter import ScanningMeterCube
@@ -36,7 +36,7 @@ from drivers.meters.keithley2000 import Keithley2000
 from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.unit_setup import count_step, missing_fields
 from drivers.positioners.pozsol.wire import DECIMALS, Field, TokenStream, own_moves, parse_number, parse_status
-from drivers.positioners.rotctld.protocol import ReplyStream, error_text, state_of
+from drivers.positioners.rotctld.protocol import ReplyStream, error_text, parse_state
 from drivers.settings import CubeSurroundings
 from tests.fuzz import registers
 from tests.fuzz.waitless import drive
@@ -104,7 +104,7 @@ def _packs() -> Take:
 
     def take(data: bytes) -> None:
         # The cube that the last input named has been gone for long enough.
-        clock.now_s += HELD_S + 0.1
+        clock.now_s += CUBE_TIMEOUT_S + 0.1
         receiver.datagram_received(data, ("127.0.0.1", 40000))
         for scan in scans:
             for face in scan.faces:
@@ -124,7 +124,7 @@ def _screens() -> Take:
         stream, table = TokenStream(), FieldTable()
         step = data[0] % 61 + 3 if data else 1
         for place in range(0, len(data), step):
-            table.take(stream.cut(data[place : place + step]), 0.01 * place)
+            table.take(stream.feed_tokens(data[place : place + step]), 0.01 * place)
         fields = {}
         for code, value in table.snapshot().items():
             fields[code] = value.text.decode("latin-1").strip()
@@ -172,7 +172,7 @@ class _Replies:
     async def drain(self, quiet_s: float) -> None:
         pass
 
-    async def has_unasked(self) -> bool:
+    async def discard_unsolicited(self) -> bool:
         return False
 
 
@@ -190,7 +190,7 @@ def _rotctld() -> Take:
                 with contextlib.suppress(ValueError):
                     assert math.isfinite(reply.number("Azimuth"))
                 with contextlib.suppress(ValueError):
-                    assert all(map(math.isfinite, state_of(reply).azimuth_deg))
+                    assert all(map(math.isfinite, parse_state(reply).azimuth_deg))
                 assert error_text(reply.error)
 
     return take
@@ -265,12 +265,15 @@ def _bodies() -> Take:
     """A command's body over HTTP or MQTT; the first byte chooses the command."""
 
     def take(data: bytes) -> None:
-        name, way = NAMES[data[0] % len(NAMES) if data else 0], ("HTTP", "MQTT")[bool(data) and data[0] > 127]
+        name, way = (
+            COMMAND_NAMES[data[0] % len(COMMAND_NAMES) if data else 0],
+            ("HTTP", "MQTT")[bool(data) and data[0] > 127],
+        )
         with contextlib.suppress(CommandError):
             command = parse(name, data[1:], way)
             assert command.why.isprintable()
             assert command.by.isprintable()
-            assert name != "mode" or command.wanted in ("auto", "hold", "stow", "snow", "maintenance")
+            assert name != "mode" or command.action in ("auto", "hold", "stow", "snow", "maintenance")
 
     return take
 
@@ -284,7 +287,7 @@ def _inputs() -> Take:
         wind = WindInput(topic="w", json_path=path, unit="km/h")
         winds.append(WindReadings(wind, 15.0, lambda: 1.0, lambda: strong.append(1), lambda *_: None))
         safe = SafeInput(topic="s", json_path=path, safe="safe", unsafe="1")
-        words.append(SafeStow(safe, lambda: 1.0, lambda: strong.append(1), lambda *_: None))
+        words.append(SafeInputStow(safe, lambda: 1.0, lambda: strong.append(1), lambda *_: None))
 
     def take(data: bytes) -> None:
         choice = data[0] if data else 0

@@ -21,7 +21,7 @@ Take = Callable[[bytes], None]
 
 _QUESTIONS = (
     pdu.read_registers(1, pdu.READ_HOLDING, 2, 3),
-    pdu.read_registers(1, pdu.READ_INPUT, 0, 7),
+    pdu.read_registers(1, pdu.READ_INPUT_REGISTERS, 0, 7),
     pdu.write_registers(1, 40, (1, 2)),
     pdu.write_coil(1, 3, on=True),
 )
@@ -46,7 +46,7 @@ def replies() -> Take:
             except BrokenStreamError:
                 return
             if reply is not None:
-                assert pdu.belongs(asked.pdu, reply)
+                assert pdu.reply_matches(asked.pdu, reply)
                 assert pdu.exception_text(reply) or len(reply) == pdu.reply_length(asked.pdu)
 
     return take
@@ -88,7 +88,7 @@ def questions() -> Take:
             for asked in found:
                 reply = answer(table, asked.request.pdu)
                 assert reply is not None
-                assert pdu.belongs(asked.request.pdu, reply), (asked, reply)
+                assert pdu.reply_matches(asked.request.pdu, reply), (asked, reply)
                 assert len(server.reply(asked, reply)) <= 260
 
     return take
@@ -107,12 +107,12 @@ class _Path:
         pass
 
     async def exchange(self, request: pdu.ModbusRequest, within_s: float) -> bytes:
-        if request.pdu[0] > pdu.READ_INPUT:
+        if request.pdu[0] > pdu.READ_INPUT_REGISTERS:
             return request.pdu[:5]
         length = pdu.reply_length(request.pdu) - 2
         words, self._data = self._data[:length], self._data[length:]
         if len(words) < length:
-            return bytes((request.pdu[0] | pdu.FAILED, len(words) + 1))
+            return bytes((request.pdu[0] | pdu.EXCEPTION_FLAG, len(words) + 1))
         return bytes((request.pdu[0], length)) + words
 
 

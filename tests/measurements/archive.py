@@ -33,7 +33,7 @@ from daemon.archive.parquet import write_days
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.records import NO_ESTIMATE, Decision, Irradiances, Mode, Target
 from daemon.store.batches import decoded, encoded
-from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
+from tests.support.archive import T0, Sender, archived_records, batch_of, event, origin, pose, pose_row, scan
 from tests.support.broker import Broker
 from tests.support.postgres import Postgres
 
@@ -82,7 +82,7 @@ def rate(rounds):
                 began = time.perf_counter()
                 part = [SentPage(name, decoded(payload)) for name, payload in messages[first : first + 200]]
                 read = time.perf_counter()
-                rows += writer.take(part).added
+                rows += writer.write(part).added
                 figures["read"] += read - began
                 figures["write"] += time.perf_counter() - read
         database_s = server_cpu_s(server)
@@ -277,7 +277,7 @@ def all_there(server, senders):
 def report(server, senders, caught_up_s):
     lost = twice = count = 0
     for sender in senders:
-        wanted, found = sender.rows(), archived(server, server.url(), sender.installation)
+        wanted, found = sender.rows(), archived_records(server, server.url(), sender.installation)
         count += len(wanted)
         lost += len(wanted - set(found))
         twice += len(found) - len(set(found)) + len(set(found) - wanted)

@@ -19,7 +19,7 @@ from sim_drivers.scene import SensorModel
 from sim_drivers.weather_files import load_weather
 from solar.calibration.attitude import face_normals
 from solar.calibration.in_place import UndeterminedError, calibrate_in_place
-from solar.calibration.level import Level, Tie
+from solar.calibration.level import KnownResponse, LevelReference
 from solar.ephemeris import DAY_S, extraterrestrial_dni, sun_direction
 from solar.frames import Array
 from solar.skies.allweather import all_weather_sky
@@ -58,17 +58,17 @@ def readings(file: Path, kind: str) -> tuple[Array, Array, Array]:
     return utc_s, falls - missed, overhead.ghi_w_m2
 
 
-def level_of(tied_to: str, truth: Array, ghi: Array, off: float) -> Level:
+def level_of(tied_to: str, truth: Array, ghi: Array, off: float) -> LevelReference:
     """Return the known level: references whose values are `off` times the truth."""
     error = UNCERTAINTY_PERCENT / 200.0
     if tied_to == "GHI":
-        return Level(ghi_w_m2=ghi * off, ghi_error=error)
+        return LevelReference(ghi_w_m2=ghi * off, ghi_error=error)
     names = ("east", "south", "west", "zenith")
     east, south, west, zenith = (
-        Tie(float(response / off), error) if name in tied_to else None
+        KnownResponse(float(response / off), error) if name in tied_to else None
         for name, response in zip(names, truth, strict=True)
     )
-    return Level((east, south, west, zenith))
+    return LevelReference((east, south, west, zenith))
 
 
 def answer(case: tuple[Path, str, str, int]) -> tuple[str, str, Array | None, Array | None]:

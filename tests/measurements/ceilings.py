@@ -20,20 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes, steer_of, under_sky
+from daemon.studies.energy.benchmark import IDEAL_DRIVE, Assumptions, read_minute_weather, steer_of, under_sky
 from daemon.studies.inputs import parse_site
-from solar.energy import Drive, lay_out
+from solar.energy import Drive, arrange_daylight
 from solar.ephemeris import Site, sun_direction
 from solar.frames import FACE_NORMALS, Limits, normal_from_angles
 from solar.laws.light import Light, aim_vector, light_from_faces
 from solar.laws.memory import Expectation, OptimalSettings
 from solar.laws.optimal import OptimalLaw
 from solar.laws.optimal_live import daylight_left
-from solar.laws.steer import towards
+from solar.laws.steer import steer_towards
 
 ALBEDO = 0.2
 LIMITS = Limits()
-TERMS = Terms(ALBEDO, LIMITS, Drive())
+TERMS = Assumptions(ALBEDO, LIMITS, Drive())
 GRID_DEG = 2.5
 LATERAL_PRIOR = 1.0
 LATERAL_ON_TILTS = 1.5
@@ -43,8 +43,8 @@ HALF_LIVES_MIN = (1.0, 2.0, 5.0, 10.0, 20.0, 60.0)
 
 def days_of(files, site, sky):
     """Return the weather of one file, or of all, under a sky."""
-    minutes = measured_minutes(files, site)
-    return under_sky(lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site), sky, TERMS)
+    minutes = read_minute_weather(files, site)
+    return under_sky(arrange_daylight(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site), sky, TERMS)
 
 
 def share_pct(days, energy, chosen):
@@ -198,17 +198,21 @@ def main():
         say(law, days, days.run(steer_of(law, days.weather, days.faces, TERMS), TERMS.drive))
     now = aim_vector(light_from_faces(days.faces, days.weather.sun, ALBEDO), days.weather.sun, ALBEDO)
     lateral = with_lateral(days)
-    say("the same minute's light, moves at once", days, days.run(towards(days.weather, now, LIMITS), IDEAL))
-    say("the same with a lateral term", days, days.run(towards(days.weather, lateral, LIMITS), IDEAL))
-    say("the same minute's light, 0.9 deg/s", days, days.run(towards(days.weather, now, LIMITS), Drive()))
-    say("the light of the minute before, moves at once", days, days.run(towards(days.weather, now, LIMITS, 1), IDEAL))
-    say("the same with a lateral term", days, days.run(towards(days.weather, lateral, LIMITS, 1), IDEAL))
+    say("the same minute's light, moves at once", days, days.run(steer_towards(days.weather, now, LIMITS), IDEAL_DRIVE))
+    say("the same with a lateral term", days, days.run(steer_towards(days.weather, lateral, LIMITS), IDEAL_DRIVE))
+    say("the same minute's light, 0.9 deg/s", days, days.run(steer_towards(days.weather, now, LIMITS), Drive()))
+    say(
+        "the light of the minute before, moves at once",
+        days,
+        days.run(steer_towards(days.weather, now, LIMITS, 1), IDEAL_DRIVE),
+    )
+    say("the same with a lateral term", days, days.run(steer_towards(days.weather, lateral, LIMITS, 1), IDEAL_DRIVE))
     if not arguments.without_trees:
         for minutes in (1, 5):
             light, unseen = by_trees(days, minutes)
             expected = aim_vector(light, days.weather.sun, ALBEDO)
-            name, steer = f"trees for {minutes} min, days not fitted on", towards(days.weather, expected, LIMITS)
-            say(f"{name}, moves at once", days, days.run(steer, IDEAL), unseen)
+            name, steer = f"trees for {minutes} min, days not fitted on", steer_towards(days.weather, expected, LIMITS)
+            say(f"{name}, moves at once", days, days.run(steer, IDEAL_DRIVE), unseen)
             for thrift in (0.5, 1.0, 2.0, 4.0):
                 done = days.run(priced(days, light, thrift), Drive())
                 say(f"{name}, optimal's prices, thrift {thrift:g}, 0.9 deg/s", days, done, unseen)

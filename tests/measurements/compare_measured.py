@@ -14,10 +14,10 @@ import numpy as np
 from daemon.base.clock import iso_utc
 from daemon.config.file import override
 from daemon.config.settings import Settings
-from daemon.rigs.measured import measured_weather
+from daemon.rigs.measured import read_weather
 from daemon.rigs.simulated import build_simulated_pair
 from daemon.studies.compare.pairs import frame_of, pair
-from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, run_side_by_side, two_trackers
 from daemon.studies.inputs import parse_site, site_values
 from solar.compare import energy_wh, gain_pct
 from solar.ephemeris import DAY_S, sun_day
@@ -29,7 +29,7 @@ def main(site, *files):
     settings = override(Settings(), {"site": site_values(site)})
     place = parse_site(site)
     energies = []
-    for weather in map(measured_weather, map(Path, files)):
+    for weather in map(read_weather, map(Path, files)):
         for day in np.arange(weather.start_utc_s // DAY_S, weather.end_utc_s // DAY_S + 1):
             noon_s = sun_day(day * DAY_S + DAY_S / 2, *place).noon_utc_s
             minutes = noon_s + np.arange(-BEFORE_S, AFTERNOON_S + 600.0, 60.0)
@@ -39,7 +39,7 @@ def main(site, *files):
             changes = int(np.sum(shines[1:] != shines[:-1]))
             if not (0.1 < shines.mean() < 0.9 and changes >= 10):
                 continue
-            measured = side_by_side(
+            measured = run_side_by_side(
                 settings,
                 two_trackers(),
                 lambda clock, weather=weather: build_simulated_pair(settings, clock, weather, MODULES),
@@ -49,7 +49,7 @@ def main(site, *files):
                 lambda _share: None,
             )
             both = pair(frame_of(measured), (T_CUBE, T_CHRONO))
-            both = both.where(both.utc_s >= noon_s)
+            both = both.select(both.utc_s >= noon_s)
             cube, chrono = (energy_wh(both.utc_s, side.irradiance_w_m2) for side in (both.cube, both.chrono))
             energies.append((cube, chrono))
             print(

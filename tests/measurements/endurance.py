@@ -25,7 +25,7 @@ from daemon.config.settings import Settings
 from daemon.motion.polling import OFTEN, Polling
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Role
 from daemon.store.store import Origin, Store
 from sim_drivers.weather import GeneratedWeather
@@ -93,7 +93,7 @@ async def run(days, folder, loop):
     )
     weather = GeneratedWeather("variable", SITE, 1)
     rig = ServiceRig(loop, settings, START, weather, Role.BOTH, None, Polling(idle_s=OFTEN.idle_s))
-    recent = Recent()
+    recent = RecentRecords()
     rig.bus.subscribe(recent.note)
     origin = Origin(
         started_utc_s=rig.clock.utc(), role="both", version="0", simulated=True, site="here", latitude_deg=48.7,
@@ -102,7 +102,7 @@ async def run(days, folder, loop):
     store = Store(folder, settings.store.batch_s, settings.store.keep_days, origin, rig.clock, lambda _event: None)
     rig.bus.subscribe(store.keep)
     operators = Operators(rig.service.trackers, 1.0)
-    api = Api(lambda: rig.see(recent, store.status), recent, operators, "t" * 43, rig.clock, 1.0)
+    api = Api(lambda: rig.take_snapshot(recent, store.status), recent, operators, "t" * 43, rig.clock, 1.0)
     stop, found = asyncio.Event(), []
     others = [
         asyncio.create_task(rig.service.run(stop)),

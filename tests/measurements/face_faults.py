@@ -20,7 +20,7 @@ from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch, face_normals
-from daemon.studies.energy.benchmark import measured_minutes
+from daemon.studies.energy.benchmark import read_minute_weather
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.frames import Array
 from solar.skies.sky import sky
@@ -112,7 +112,7 @@ def readings(utc_s: Array, dni: Array, dhi: Array, seed: int) -> Array:
 
 def days(folder: Path, numbers: tuple[int, ...]) -> Iterator[tuple[str, Array, Array, Array]]:
     """Yield season, minutes with the sun above 5 deg, and irradiance with and without beam."""
-    utc_s, dni, dhi, *_ = measured_minutes(sorted(folder.glob("*.csv*")), LYNGBY)
+    utc_s, dni, dhi, *_ = read_minute_weather(sorted(folder.glob("*.csv*")), LYNGBY)
     for month, season in SEASONS.items():
         for number in numbers:
             begin = datetime(

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from daemon.base.records import FACES
 from daemon.config.settings import Settings
 from daemon.cube.face_watch import BAD_LOOKS, BLOCKS, face_normals
-from daemon.studies.energy.benchmark import measured_minutes
-from solar.energy import SKIES, Shining, build_sky, faces_under, lay_out
+from daemon.studies.energy.benchmark import read_minute_weather
+from solar.energy import SKIES, IrradianceSource, arrange_daylight, build_sky, face_irradiances
 from solar.ephemeris import Site, sun_direction
-from solar.faces.changes import changes
+from solar.faces.changes import change_misfits
 from solar.faces.contradiction import misfits
-from solar.faces.jumps import jumps
+from solar.faces.jumps import find_jumps
 from solar.faces.plausible import Doubt, Response, doubts, responses
 from solar.frames import Array
 
@@ -29,10 +29,10 @@ HALF_HOUR = 30
 ALBEDOS = (0.05, 0.2, 0.8)
 
 
-def cube_of(light: Shining, albedo: float, seed: int) -> tuple[Array, Array]:
+def cube_of(light: IrradianceSource, albedo: float, seed: int) -> tuple[Array, Array]:
     """Return faces [W/m2] and voltages [mV], shape (n, 4), of sensors with 3 % of gain error and noise."""
     random = np.random.default_rng(seed)
-    faces = faces_under(light, albedo)
+    faces = face_irradiances(light, albedo)
     noise = random.normal(0.0, NOISE_MV / np.sqrt(SCANS_PER_MINUTE), faces.shape)
     voltages = 0.1 * faces * (1.0 + 0.03 * random.standard_normal(4)) + noise
     return 10.0 * voltages, voltages
@@ -78,7 +78,7 @@ def contradictions(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, fl
         if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
             looks.append(misfits(faces[half_hour], sun[half_hour]))
     known = [look for look in looks if look is not None]
-    against, three = sum(look.contradict for look in known), max(look.least_without.max() for look in known)
+    against, three = sum(look.is_contradictory for look in known), max(look.least_without.max() for look in known)
     return against, len(known), max(look.least for look in known), float(three)
 
 
@@ -92,11 +92,11 @@ def unchanging(utc_s: Array, faces: Array, sun: Array) -> tuple[int, int, int, f
     for begin in range(0, utc_s.size - HALF_HOUR, 5):
         half_hour = slice(begin, begin + HALF_HOUR)
         if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
-            looks.append(changes(faces[half_hour], sun[half_hour]))
+            looks.append(change_misfits(faces[half_hour], sun[half_hour]))
     known = [look for look in looks if look is not None]
-    against = [look for look in known if look.contradict]
-    shares = [min(look.single.min(), look.swapped.min()) / look.as_they_are for look in against]
-    return sum(bool(look.accused) for look in known), len(known), len(against), float(min(shares, default=np.inf))
+    against = [look for look in known if look.is_contradictory]
+    shares = [min(look.single.min(), look.swapped.min()) / look.without_fault for look in against]
+    return sum(bool(look.suspect_faces) for look in known), len(known), len(against), float(min(shares, default=np.inf))
 
 
 def jumping(utc_s: Array, faces: Array, sun: Array) -> list[int]:
@@ -110,7 +110,7 @@ def jumping(utc_s: Array, faces: Array, sun: Array) -> list[int]:
         if utc_s[half_hour][-1] - utc_s[begin] <= 60.0 * HALF_HOUR:
             for place, dead in enumerate((None, *range(len(FACES)))):
                 sound = np.arange(len(FACES)) != dead
-                found = jumps(np.where(sound, faces[half_hour], 0.0))
+                found = find_jumps(np.where(sound, faces[half_hour], 0.0))
                 named[place] += int(found.repeated(sun[half_hour], sound.tolist()).any())
     return named
 
@@ -118,21 +118,23 @@ def jumping(utc_s: Array, faces: Array, sun: Array) -> list[int]:
 def main() -> None:
     """Print alarms and minutes in doubt for each sky and albedo."""
     files = sorted(path for folder in sys.argv[1:] for path in Path(folder).glob("*.csv.gz"))
-    utc_s, dni, dhi, *_ = measured_minutes(files, LYNGBY)
+    utc_s, dni, dhi, *_ = read_minute_weather(files, LYNGBY)
     sun = sun_direction(utc_s, *LYNGBY)
     # Zero irradiance in daylight is an outage of the station, not weather.
     day = (sun[:, 2] > np.sin(np.radians(5.0))) & (dni * sun[:, 2] + dhi > 0.1)
     utc_s, dni, dhi, sun = utc_s[day], dni[day], dhi[day], sun[day]
     normals = face_normals(Settings().cube, LYNGBY.latitude_deg)
     print(f"{len(files)} months, {day.sum()} minutes with the sun above 5 deg")
-    weather = lay_out(utc_s, dni, dhi, LYNGBY)
+    weather = arrange_daylight(utc_s, dni, dhi, LYNGBY)
     for model in SKIES:
         light = build_sky(weather, model)
         for albedo in ALBEDOS:
             found = np.zeros((utc_s.size, 4), dtype=np.int64)
             raised, minutes = (
                 0,
-                dict.fromkeys([kind for kind in Doubt if kind in (Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.OVER)], 0),
+                dict.fromkeys(
+                    [kind for kind in Doubt if kind in (Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.TOO_BRIGHT)], 0
+                ),
             )
             for seed in range(SEEDS):
                 faces, voltages = cube_of(light, albedo, seed)

@@ -36,12 +36,12 @@ from daemon.base.records import FACES, Quality
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.repeats import Repeats
-from daemon.rigs.measured import measured_weather
+from daemon.rigs.measured import read_weather
 from daemon.studies.inputs import parse_site, settings_for
 from daemon.studies.recorded import RecordedScans
 from daemon.studies.replay import replay
 from sim_drivers.weather import GeneratedWeather, Weather, WeatherKind
-from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, harvest, lay_out
+from solar.energy import SKIES, Drive, arrange_daylight, best_possible, build_sky, face_irradiances, harvest
 from solar.ephemeris import DAY_S, Site, sun_direction
 from solar.frames import Limits, angles_within, normal_from_angles
 from solar.laws import optimal_live
@@ -65,7 +65,7 @@ def weather_of(folder: Path, month: int, site: Site) -> tuple[Weather, int]:
     if _is_made_up(folder):
         return GeneratedWeather(cast("WeatherKind", str(folder)), site, SEED), MADE_UP_YEAR
     (path,) = _files_of(folder, month)
-    weather = measured_weather(path)
+    weather = read_weather(path)
     return weather, datetime.fromtimestamp(weather.start_utc_s + DAY_S, UTC).year
 
 
@@ -97,7 +97,7 @@ class Week:
         utc_s = np.arange(begin, begin + DAYS * DAY_S, scan_s)
         utc_s = utc_s[weather.covers(utc_s)]
         now = weather.at(utc_s)
-        self.light = lay_out(utc_s, now.dni_w_m2, now.dhi_w_m2, site, scan_s)
+        self.light = arrange_daylight(utc_s, now.dni_w_m2, now.dhi_w_m2, site, scan_s)
         # A cube reads through the night: otherwise it would look like one that sleeps.
         resting = ~np.isin(utc_s, self.light.utc_s) & (
             np.arange(len(utc_s)) % max(round(NIGHT_SCAN_S / scan_s), 1) == 0
@@ -106,14 +106,14 @@ class Week:
         self.order = np.argsort(self.utc_s)
         self.utc_s = self.utc_s[self.order]
         self.sky = build_sky(self.light, sky)
-        dull = build_sky(lay_out(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, site, scan_s), sky)
+        dull = build_sky(arrange_daylight(utc_s, 0.0 * now.dni_w_m2, now.dhi_w_m2, site, scan_s), sky)
         self.still_s, self.soiled = begin + 3600.0 * still_hour, soiled
         ideal = normal_from_angles(*angles_within(self.light.sun, LIMITS))
         self.chronometric = self.light.by_day(self.sky.irradiance_on(ideal, ALBEDO))
         self.bound = self.light.by_day(best_possible(self.light, self.sky, LIMITS, ALBEDO))
         random = np.random.default_rng(month)
         self.noise = random.standard_normal((2, len(self.utc_s), 4))
-        self.faces, self.dull = (self.read(faces_under(light, ALBEDO)) for light in (self.sky, dull))
+        self.faces, self.dull = (self.read(face_irradiances(light, ALBEDO)) for light in (self.sky, dull))
         self.sun = sun_direction(self.utc_s, *site)
 
     def read(self, faces):

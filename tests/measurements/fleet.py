@@ -34,13 +34,13 @@ import numpy as np
 
 from daemon.api.app import Api
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier, keep_start
+from daemon.base.process import SystemdNotifier, freeze_startup_objects
 from daemon.base.records import Bus, Decision, Move
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
 from daemon.service.operator_commands import Operators, parse
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
@@ -238,12 +238,12 @@ def child(trackers, law, given):
     with asyncio.Runner(loop_factory=VirtualTimeLoop if given.virtual else None) as runner:
         loop = runner.get_loop()
         clock = LoopClock(loop.time, MORNING_UTC_S)
-        bus, recent = Bus(), Recent(several=trackers > 1)
+        bus, recent = Bus(), RecentRecords(several=trackers > 1)
         bus.subscribe(recent.note)
         bus.subscribe(lambda record: decisions.append(record) if isinstance(record, Decision | Move) else None)
         weather, _ = build_weather(settings, MORNING_UTC_S, MORNING_UTC_S + 3600.0)
         rig = build_simulated_rig(settings, Role.BOTH, clock, weather)
-        service = Service(settings, Role.BOTH, rig, clock, Random(1), bus, None, Notifier({}, 0))
+        service = Service(settings, Role.BOTH, rig, clock, Random(1), bus, None, SystemdNotifier({}, 0))
 
         def see(glance=False):
             return snapshot(service, recent, 1.0, None, {}, glance=glance)
@@ -260,7 +260,7 @@ def child(trackers, law, given):
                 stop.set()
                 await serving
 
-        keep_start()
+        freeze_startup_objects()
         if given.profile:
             profile = cProfile.Profile()
             profile.enable()

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.studies.energy.benchmark import Terms, measured_minutes, under_sky
+from daemon.studies.energy.benchmark import Assumptions, read_minute_weather, under_sky
 from daemon.studies.inputs import parse_site
-from solar.energy import Drive, lay_out
+from solar.energy import Drive, arrange_daylight
 from solar.ephemeris import Site
 from solar.frames import Limits
 from solar.laws import mu_prime, optimal_live, sun_vector
@@ -74,9 +74,9 @@ def main():
     parser.add_argument("--scan", type=float, default=60.0, help="seconds between two readings (default: %(default)g)")
     asked = parser.parse_args()
     site = Site(*parse_site(asked.site))
-    light = interpolated(measured_minutes(asked.weather, site), asked.scan)
-    weather = lay_out(*light, site, asked.scan)
-    days, snowy = (under_sky(weather, asked.sky, Terms(albedo, LIMITS, Drive())) for albedo in (0.2, 0.6))
+    light = interpolated(read_minute_weather(asked.weather, site), asked.scan)
+    weather = arrange_daylight(*light, site, asked.scan)
+    days, snowy = (under_sky(weather, asked.sky, Assumptions(albedo, LIMITS, Drive())) for albedo in (0.2, 0.6))
     say("nothing", days, days.faces)
     for number, face in enumerate(FACES):
         say(f"no {face} face", days, without(days, number))

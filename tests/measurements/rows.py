@@ -16,8 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daemon.studies.energy.benchmark import measured_minutes
-from solar.energy import DaylightWeather, Drive, Harvest, Shining, Steer, build_sky, faces_under, harvest, lay_out
+from daemon.studies.energy.benchmark import read_minute_weather
+from solar.energy import (
+    DaylightWeather,
+    Drive,
+    Harvest,
+    IrradianceSource,
+    Steer,
+    arrange_daylight,
+    build_sky,
+    face_irradiances,
+    harvest,
+)
 from solar.ephemeris import DAY_S, Site
 from solar.frames import Angles, Array, Limits, normal_from_angles
 from solar.laws import chronometric, flat, mu_prime, optimal_live
@@ -75,7 +85,7 @@ def main() -> None:
     asked = parser.parse_args()
     weather = five_minutes(sorted(asked.folder.glob("*.csv*")), asked.every)
     light = build_sky(weather, "perez1990")
-    faces = faces_under(light, ALBEDO)
+    faces = face_irradiances(light, ALBEDO)
     print(
         f"{asked.rows} x {asked.columns} trackers, modules of {EDGE_M:g} x {EDGE_M:g} m, {asked.pitch:g} widths apart;"
         f" {weather.by_day(weather.dhi_w_m2).astype(bool).sum()} days, steps of {STEP_S:g} s"
@@ -94,13 +104,13 @@ def main() -> None:
 
 def five_minutes(files: list[Path], every: int) -> DaylightWeather:
     """Return five-minute means of every so many-th day."""
-    utc_s, dni, dhi, *_ = measured_minutes(files, LYNGBY)
+    utc_s, dni, dhi, *_ = read_minute_weather(files, LYNGBY)
     chosen = (utc_s // DAY_S) % every == 0
     steps, place = np.unique(utc_s[chosen] // STEP_S, return_inverse=True)
     count = np.bincount(place)
     means = [np.bincount(place, values[chosen]) / count for values in (dni, dhi)]
     whole = count == round(STEP_S / 60.0)
-    return lay_out(steps[whole] * STEP_S, means[0][whole], means[1][whole], LYNGBY, STEP_S)
+    return arrange_daylight(steps[whole] * STEP_S, means[0][whole], means[1][whole], LYNGBY, STEP_S)
 
 
 def field_of(weather: DaylightWeather, rows: int, columns: int, pitch_m: float, groups: int) -> Field:
@@ -108,7 +118,7 @@ def field_of(weather: DaylightWeather, rows: int, columns: int, pitch_m: float, 
     east, north = (pitch_m * part.ravel() for part in np.meshgrid(np.arange(columns), np.arange(rows)))
     size_m, latitude_deg = (EDGE_M, EDGE_M), LYNGBY.latitude_deg
     always, group = (
-        TrackerGroup.on_map(east.tolist(), north.tolist(), (), size_m, latitude_deg, groups, only_if_it_pays=pays)
+        TrackerGroup.from_map(east.tolist(), north.tolist(), (), size_m, latitude_deg, groups, only_if_it_pays=pays)
         for pays in (False, True)
     )
 
@@ -124,7 +134,9 @@ def field_of(weather: DaylightWeather, rows: int, columns: int, pitch_m: float, 
     return Field(always, group, taken)
 
 
-def lines(weather: DaylightWeather, light: Shining, faces: Array, field: Field, names: Sequence[str]) -> Iterator[str]:
+def lines(
+    weather: DaylightWeather, light: IrradianceSource, faces: Array, field: Field, names: Sequence[str]
+) -> Iterator[str]:
     """Yield a line of the table for each law."""
 
     def driven(steer: Steer, *, shaded: bool) -> Harvest:

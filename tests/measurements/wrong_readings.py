@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from daemon.base.records import FACES
-from daemon.rigs.measured import measured_weather
+from daemon.rigs.measured import read_weather
 from daemon.studies.inputs import parse_site, settings_for, site_values
 from daemon.studies.recorded import RecordedScans
 from daemon.studies.replay import replay
-from solar.energy import best_possible, build_sky, faces_under, lay_out
+from solar.energy import arrange_daylight, best_possible, build_sky, face_irradiances
 from solar.ephemeris import DAY_S, Site
 from solar.frames import Limits, angles_within, normal_from_angles
 
@@ -38,7 +38,7 @@ def daylight_of(arguments):
     times, dni, dhi = [], [], []
     first = 0
     for path in map(Path, arguments.weather):
-        weather = measured_weather(path)
+        weather = read_weather(path)
         begin = np.floor(weather.start_utc_s / DAY_S) * DAY_S
         for day_s in np.arange(begin, weather.end_utc_s, DAY_S):
             number, first = first, first + 1
@@ -51,7 +51,7 @@ def daylight_of(arguments):
             now = weather.at(utc_s)
             times.append(utc_s), dni.append(now.dni_w_m2), dhi.append(now.dhi_w_m2)
     site = Site(*parse_site(arguments.site))
-    return lay_out(np.concatenate(times), np.concatenate(dni), np.concatenate(dhi), site, arguments.scan)
+    return arrange_daylight(np.concatenate(times), np.concatenate(dni), np.concatenate(dhi), site, arguments.scan)
 
 
 def spoilt(faces, case, light, rng):
@@ -108,7 +108,7 @@ def main():
     arguments = parser.parse_args()
     light = daylight_of(arguments)
     sky = build_sky(light, arguments.sky)
-    faces = faces_under(sky, ALBEDO)
+    faces = face_irradiances(sky, ALBEDO)
     ideal = normal_from_angles(*angles_within(light.sun, LIMITS))
     chronometric = light.by_day(sky.irradiance_on(ideal, ALBEDO))
     bound = light.by_day(best_possible(light, sky, LIMITS, ALBEDO))

@@ -38,7 +38,7 @@ def test_corrected_power_is_never_negative_nan_stays_nan_and_powers_beyond_the_f
     bias = ChainBias(-2.0, 1.0, 0.0, 5.0, 100.0)
     assert bias.corrected([0.0, 1.0, 10.0]).tolist() == [0.0, 0.0, 8.0]
     assert np.isnan(bias.corrected([np.nan])).all()
-    assert bias.beyond([4.0, 6.0, 99.0, 101.0]).tolist() == [True, False, False, True]
+    assert bias.is_extrapolated([4.0, 6.0, 99.0, 101.0]).tolist() == [True, False, False, True]
 
 
 @given(

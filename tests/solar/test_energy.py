@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 
-from daemon.studies.energy.benchmark import measured_minutes
-from solar.energy import SKIES, Drive, best_possible, build_sky, faces_under, fixed, harvest, lay_out
+from daemon.studies.energy.benchmark import read_minute_weather
+from solar.energy import (
+    SKIES,
+    Drive,
+    arrange_daylight,
+    best_possible,
+    build_sky,
+    face_irradiances,
+    harvest,
+    steer_fixed_tilt,
+)
 from solar.ephemeris import Site
 from solar.frames import Limits, angles_within, normal_from_angles
 from solar.laws import chronometric, mu_prime, optimal_live, sun_vector
@@ -19,7 +28,7 @@ DAY_S = 86400.0
 
 def weather_of(dni, dhi, days=1, site=LYNGBY):
     utc_s = 1465084800.0 + 60.0 * np.arange(1440 * days)  # 2016-06-05
-    return lay_out(utc_s, np.full(utc_s.size, dni), np.full(utc_s.size, dhi), site)
+    return arrange_daylight(utc_s, np.full(utc_s.size, dni), np.full(utc_s.size, dhi), site)
 
 
 def steered(law, weather, faces=None):
@@ -29,12 +38,12 @@ def steered(law, weather, faces=None):
 @pytest.fixture(scope="module")
 def january_and_june(measured):
     files = [measured / "dtu_lyngby_2016" / f"2016-{month}.csv.gz" for month in ("01", "06")]
-    utc_s, dni, dhi, warnings, simulated = measured_minutes(files, LYNGBY)
+    utc_s, dni, dhi, warnings, simulated = read_minute_weather(files, LYNGBY)
     # The warning tells of January's gap by day and of the months between; they count as missing.
     (warning,) = warnings
     assert "1574.2 h of daylight are missing, the first after 2016-01-" in warning
     assert not simulated
-    return lay_out(utc_s, dni, dhi, LYNGBY)
+    return arrange_daylight(utc_s, dni, dhi, LYNGBY)
 
 
 def test_the_chronometric_tracker_harvests_dni_by_incidence_and_its_share_of_an_even_sky():
@@ -50,7 +59,7 @@ def test_the_chronometric_tracker_harvests_dni_by_incidence_and_its_share_of_an_
 def test_a_flat_plane_receives_the_global_irradiance_and_travels_nowhere():
     weather = weather_of(500.0, 100.0)
     light = build_sky(weather, "perez1990")
-    result = harvest(weather, light, 0.2, IDEAL, fixed(weather, 0.0))
+    result = harvest(weather, light, 0.2, IDEAL, steer_fixed_tilt(weather, 0.0))
     ghi = (500.0 * weather.sun[:, 2] + 100.0).sum() / 60e3
     assert result.energy_kwh_m2[0] == pytest.approx(ghi)
     assert result.travel_deg[0] == result.moves[0] == 0
@@ -81,7 +90,7 @@ def test_days_are_solar_days_wherever_the_site_lies():
 
 def test_weather_without_daylight_and_an_unknown_sky_model_are_refused():
     with pytest.raises(ValueError, match="no record with the sun"):
-        lay_out(np.array([1465084800.0]), np.array([0.0]), np.array([0.0]), LYNGBY)
+        arrange_daylight(np.array([1465084800.0]), np.array([0.0]), np.array([0.0]), LYNGBY)
     with pytest.raises(ValueError, match="choose one of isotropic"):
         build_sky(weather_of(1.0, 1.0), "rainbow")
 
@@ -96,7 +105,7 @@ def test_no_law_harvests_more_than_the_best_possible(model):
     weather = weather_of(400.0, 200.0)
     light = build_sky(weather, model)
     best = weather.by_day(best_possible(weather, light, LIMITS, 0.2))
-    faces = faces_under(light, 0.2)
+    faces = face_irradiances(light, 0.2)
     steers = [
         steered(chronometric, weather),
         steered(mu_prime, weather, faces),
@@ -112,7 +121,7 @@ def test_no_law_harvests_more_than_the_best_possible(model):
 def test_on_measured_weather_the_optimal_law_takes_over_75_percent_of_the_possible_gain(january_and_june, model):
     weather = january_and_june
     light = build_sky(weather, model)
-    faces = faces_under(light, 0.2)
+    faces = face_irradiances(light, 0.2)
     bound = weather.by_day(best_possible(weather, light, LIMITS, 0.2))
     sun = harvest(weather, light, 0.2, IDEAL, steered(chronometric, weather)).energy_kwh_m2
     paper = harvest(weather, light, 0.2, Drive(), steered(mu_prime, weather, faces))
@@ -130,10 +139,10 @@ def test_on_measured_weather_the_optimal_law_takes_over_75_percent_of_the_possib
 def test_the_optimal_law_run_over_many_days_at_once_harvests_on_a_day_what_it_does_on_it_alone(january_and_june):
     weather = january_and_june
     light = build_sky(weather, "perez1990")
-    faces = faces_under(light, 0.2)
+    faces = face_irradiances(light, 0.2)
     learned = optimal_live.learned_by_day(weather, faces)
     chosen = weather.day == 5
-    alone = lay_out(weather.utc_s[chosen], weather.dni_w_m2[chosen], weather.dhi_w_m2[chosen], LYNGBY)
+    alone = arrange_daylight(weather.utc_s[chosen], weather.dni_w_m2[chosen], weather.dhi_w_m2[chosen], LYNGBY)
     start = type(learned)(*(float(getattr(learned, name)[5]) for name in type(learned).__slots__))
     steer = optimal_live.steer(optimal_live.SETTINGS(), alone, faces[chosen], LIMITS, start)
     one = harvest(alone, build_sky(alone, "perez1990"), 0.2, Drive(), steer)

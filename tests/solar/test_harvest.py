@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daemon.config.sections import LimitSettings, MotionSettings
-from solar.energy import Drive, best_possible, fixed, harvest, lay_out
+from solar.energy import Drive, arrange_daylight, best_possible, harvest, steer_fixed_tilt
 from solar.ephemeris import Site
 from solar.frames import Limits
 
@@ -16,12 +16,12 @@ DAY_S = 86400.0
 def morning():
     """Return three hours of one day."""
     utc_s = 1465113600.0 + 60.0 * np.arange(180)
-    return lay_out(utc_s, np.zeros(180), np.full(180, 100.0), LYNGBY)
+    return arrange_daylight(utc_s, np.zeros(180), np.full(180, 100.0), LYNGBY)
 
 
 def weather_of(dni, dhi, days=1):
     utc_s = 1465084800.0 + 60.0 * np.arange(1440 * days)  # 2016-06-05
-    return lay_out(utc_s, np.full(utc_s.size, dni), np.full(utc_s.size, dhi), LYNGBY)
+    return arrange_daylight(utc_s, np.full(utc_s.size, dni), np.full(utc_s.size, dhi), LYNGBY)
 
 
 class Peak:
@@ -99,7 +99,7 @@ def test_light_that_is_taken_from_the_plane_is_subtracted_from_the_harvest():
     weather = morning()
     light = Shows(1)
     free, taken = (
-        harvest(weather, light, 0.0, Drive(np.inf, 0.0, samples), fixed(weather, 30.0), what)
+        harvest(weather, light, 0.0, Drive(np.inf, 0.0, samples), steer_fixed_tilt(weather, 30.0), what)
         for samples, what in ((1, None), (2, lambda a_deg, b_deg: a_deg + b_deg / 3))
     )
     assert free.energy_kwh_m2[0] == pytest.approx(60.0 * weather.shape[0] / 60e3)
@@ -114,7 +114,7 @@ def test_weather_is_laid_out_in_solar_days_of_the_site():
     assert np.bincount(weather.day).tolist() == [np.count_nonzero(weather.day == day) for day in range(3)]
     noon = weather.sun[:, 2].argmax()
     assert weather.utc_s[noon] % DAY_S == pytest.approx(11.14 * 3600, abs=300)
-    sparse = lay_out(weather.utc_s[::5], weather.dni_w_m2[::5], weather.dhi_w_m2[::5], LYNGBY, 300.0)
+    sparse = arrange_daylight(weather.utc_s[::5], weather.dni_w_m2[::5], weather.dhi_w_m2[::5], LYNGBY, 300.0)
     assert sparse.shape[0] * 5 == pytest.approx(weather.shape[0], abs=5)
     np.testing.assert_allclose(sparse.by_day(sparse.dhi_w_m2), weather.by_day(weather.dhi_w_m2), rtol=0.01)
     np.testing.assert_allclose(weather.by_day(weather.dhi_w_m2), 0.1 * np.bincount(weather.day) / 60.0)
@@ -122,13 +122,15 @@ def test_weather_is_laid_out_in_solar_days_of_the_site():
 
 def test_missing_weather_is_left_out_negative_values_are_zero_and_no_weather_by_day_is_refused():
     utc_s = 1465128000.0 + 60.0 * np.arange(4)
-    weather = lay_out(utc_s, np.array([-5.0, np.nan, 500.0, 1.0]), np.array([-1.0, 100.0, np.nan, 2.0]), LYNGBY)
+    weather = arrange_daylight(
+        utc_s, np.array([-5.0, np.nan, 500.0, 1.0]), np.array([-1.0, 100.0, np.nan, 2.0]), LYNGBY
+    )
     assert weather.utc_s.tolist() == [utc_s[0], utc_s[3]]
     assert (weather.dni_w_m2.tolist(), weather.dhi_w_m2.tolist()) == ([0.0, 1.0], [0.0, 2.0])
     with pytest.raises(ValueError, match="no record with the sun above the horizon and dni and dhi present"):
-        lay_out(utc_s, np.full(4, np.nan), np.ones(4), LYNGBY)
+        arrange_daylight(utc_s, np.full(4, np.nan), np.ones(4), LYNGBY)
     with pytest.raises(ValueError, match="no record with the sun above"):
-        lay_out(utc_s + 43200.0, np.ones(4), np.ones(4), LYNGBY)
+        arrange_daylight(utc_s + 43200.0, np.ones(4), np.ones(4), LYNGBY)
 
 
 def test_a_day_without_light_among_others_has_no_type_and_weather_without_any_light_is_refused():

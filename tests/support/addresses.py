@@ -57,7 +57,7 @@ class _Numbers:
 _numbers: _Numbers | None = None
 
 
-def take_block():
+def reserve_port_block():
     """Take this process's block: before any test, or the leak check would find the socket that holds it."""
     global _numbers
     if _numbers is None:
@@ -73,4 +73,4 @@ def free_port(kind=socket.SOCK_STREAM):
     kind
         Of socket: for streams or for datagrams.
     """
-    return take_block().next(kind)
+    return reserve_port_block().next(kind)

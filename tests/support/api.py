@@ -9,7 +9,7 @@ from daemon.api.app import Api
 from daemon.api.configuration import OwnConfiguration
 from daemon.api.server import ApiServer
 from daemon.service.operator_commands import Operators
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 
 TOKEN = "t" * 43
 BEARER = {"Authorization": f"Bearer {TOKEN}"}
@@ -58,10 +58,10 @@ class Caller:
 
 def server_of(rig, settings, recent=None, store=None, hosts=(), links=None, file=None, tell=print):
     """Return the local interface of a rig's service."""
-    recent = Recent() if recent is None else recent
+    recent = RecentRecords() if recent is None else recent
     operators = Operators(rig.service.trackers, 1.0, rig.service.cube_alarms)
     own = OwnConfiguration(file, [tracker.name for tracker in rig.service.trackers])
-    api = Api(lambda: rig.see(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts, own=own)
+    api = Api(lambda: rig.take_snapshot(recent, store, links), recent, operators, TOKEN, rig.clock, 1.0, hosts, own=own)
     return ApiServer(settings, api, rig.clock, rig.service.cube_alarms.set, tell, 1.0)
 
 
@@ -71,7 +71,7 @@ def serve(run_rig):
 
     def run(scenario, hosts=(), file=None, **options):
         async def beside(rig):
-            recent = Recent()
+            recent = RecentRecords()
             rig.bus.subscribe(recent.note)
             settings = rig.service.settings.api.model_copy(update={"listen": "127.0.0.1:0"})
             server = server_of(rig, settings, recent, hosts=hosts, file=file)

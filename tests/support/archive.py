@@ -109,7 +109,7 @@ class Sender:
         self.link = Link(mqtt, topics, clock, Random(1), lambda _: None, speed)
         self.alarms = {}
         self.feed = ArchiveFeed(self.link, topics, folder, Role.BOTH, every_s, 400, clock, Random(2), 1.0)
-        self.feed.alarm_by(self.alarms.__setitem__)
+        self.feed.set_alarm_callback(self.alarms.__setitem__)
 
     def keep(self, *records):
         for record in records:
@@ -135,7 +135,7 @@ class Sender:
             await asyncio.gather(*tasks, return_exceptions=True)
 
 
-def archived(postgres, url, installation):
+def archived_records(postgres, url, installation):
     """All records of an installation in an archive, as `Sender.rows` has them, but a list: it shows duplicates."""
     of_kind = (
         f"SELECT id, '{kind}', number FROM heliocube.{kind} JOIN heliocube.runs USING (run)"

@@ -27,14 +27,14 @@ class BadLink:
     """Frames on their way, each with the time at which it arrives."""
 
     def __init__(self, seed: int) -> None:
-        self.how = {"loss": 0.0, "duplicate": 0.0, "reorder": 0.0, "delay_s": 0.0, "jitter_s": 0.0, "cut": False}
+        self.conditions = {"loss": 0.0, "duplicate": 0.0, "reorder": 0.0, "delay_s": 0.0, "jitter_s": 0.0, "cut": False}
         self._choice = random.Random(seed)
         self._under_way: list[tuple[float, int, socket.socket, bytes]] = []
         self._numbers = itertools.count()
 
     def take(self, frame: bytes, towards: socket.socket, now_s: float) -> None:
         """Lose, double or delay a frame."""
-        how, choice = self.how, self._choice
+        how, choice = self.conditions, self._choice
         if how["cut"] or (frame[_KIND] != _ARP and choice.random() < how["loss"]):
             return
         for _ in range(2 if frame[_KIND] != _ARP and choice.random() < how["duplicate"] else 1):
@@ -73,7 +73,7 @@ def main(left: str, right: str, seed: str) -> None:
                 line = sys.stdin.readline()
                 if not line:
                     return
-                link.how.update(json.loads(line))
+                link.conditions.update(json.loads(line))
                 print("ready", flush=True)
                 continue
             frame, (_, _, kind, *_) = source.recvfrom(65536)

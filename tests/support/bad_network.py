@@ -71,7 +71,7 @@ print(still)
 """
 
 
-def without_namespaces() -> str:
+def why_no_namespaces() -> str:
     """Return why no network namespaces can be made here, or nothing."""
     if sys.platform != "linux" or not hasattr(os, "geteuid") or os.geteuid() != 0:
         return "the test of a bad network is left out: network namespaces are for root on Linux"

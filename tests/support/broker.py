@@ -17,7 +17,7 @@ from tests.support.addresses import free_port
 
 _PATHS = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/usr/local/sbin"])
 MOSQUITTO = None if os.environ.get("HELIOCUBE_TEST_BROKER") == "amqtt" else shutil.which("mosquitto", path=_PATHS)
-LEFT_OUT = "wrong passwords, access lists, TLS and the takeover of a client id"
+UNTESTED_WITH_AMQTT = "wrong passwords, access lists, TLS and the takeover of a client id"
 CERTIFICATES = Path(__file__).parent / "certificates"
 
 
@@ -91,7 +91,7 @@ class Broker:
     def hang(self):
         self.process.send_signal(signal.SIGSTOP)
 
-    def go_on(self):
+    def resume(self):
         self.process.send_signal(signal.SIGCONT)
 
     def close(self):

@@ -28,7 +28,7 @@ def heliocube(monkeypatch, capsys):
 
 
 @pytest.fixture
-def signal_at_once(monkeypatch):
+def signal_at_first_progress(monkeypatch):
     """Returns a function that takes a signal: this process gets it when work first shows progress on a terminal."""
     # A signal that the command does not handle must not end the tests.
     safe = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: lambda *_: None}

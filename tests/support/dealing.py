@@ -3,7 +3,7 @@
 import functools
 import re
 
-LONG_S, DEAR_S, SHORT_S = 40, 12, 2
+LONG_S, COSTLY_S, SHORT_S = 40, 12, 2
 """How long a test is taken to last: marked `long`; with processes or firmware of its own; on a port or a broker."""
 
 _DEAR = {"system", "campaign", "firmware"}
@@ -11,10 +11,10 @@ _DEAR = {"system", "campaign", "firmware"}
 _SHARED = ("postgres", "browser", "copied_on_windows")
 
 
-def lasts_s(item):
+def expected_duration_s(item):
     """Return how long a test is taken to last [s]."""
     marks = {mark.name for mark in item.iter_markers()}
-    return LONG_S if "long" in marks else DEAR_S if marks & _DEAR else SHORT_S
+    return LONG_S if "long" in marks else COSTLY_S if marks & _DEAR else SHORT_S
 
 
 def long_first(items):
@@ -22,12 +22,12 @@ def long_first(items):
     return sorted(items, key=lambda item: item.get_closest_marker("long") is None)
 
 
-def together(item):
+def worker_group(item):
     """Return the costly fixture that a test shares with others, for one worker to make for all, or its own name."""
     return next((name for name in _SHARED if name in item.fixturenames), item.nodeid)
 
 
-def dealt(items, workers, length_s=lasts_s, group=together):
+def distribute_tests(items, workers, length_s=expected_duration_s, group=worker_group):
     """Return the items in an order that suits `--dist worksteal`, which gives each worker one piece of equal size.
 
     Each piece begins with its longest, so that what others steal from its end is short. A group stays together, as one
@@ -38,7 +38,7 @@ def dealt(items, workers, length_s=lasts_s, group=together):
     spent_s = [0.0] * workers
     for length, members in _groups(items, length_s, group):
         free = [worker for worker in range(workers) if len(pieces[worker]) + len(members) <= room[worker]]
-        if length >= DEAR_S:
+        if length >= COSTLY_S:
             free = [worker for worker in free if worker % 3 != 2] or free
         # A group that fits into no piece as a whole goes on in the next.
         order = sorted(free or range(workers), key=spent_s.__getitem__)
@@ -63,6 +63,6 @@ def _whole_words(words):
     return re.compile(rf"\b(?:{'|'.join(map(re.escape, words))})\b")
 
 
-def names_any(file, words):
+def contains_any_word(file, words):
     """Return whether a file contains one of the words, as a whole word."""
     return _whole_words(tuple(words)).search(file.read_text(encoding="utf-8")) is not None

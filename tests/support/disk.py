@@ -7,7 +7,7 @@ import pytest
 
 
 @pytest.fixture
-def synced(monkeypatch):
+def synced_files(monkeypatch):
     """Return the names of the files that were synced while not empty, in order."""
     names, fsync = [], os.fsync
 

@@ -4,10 +4,10 @@ import asyncio
 
 MUCH, PIECE = 200 << 20, 1 << 20
 ACCEPTED = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nConnection: close\r\n\r\n{}"
-TAKEN = 64 << 20
+MOST_BYTES_SENT = 64 << 20
 
 
-async def sent_to(ask, content_type="application/json"):
+async def ask_endless_server(ask, content_type="application/json"):
     """Return what `ask` returns for an address that answers with `MUCH` bytes, and how many were sent.
 
     Questions about a token get a short answer.

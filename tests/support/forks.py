@@ -133,7 +133,7 @@ _origin: _Origin | None = None
 _given: dict | None = None
 
 
-def kept():
+def origin_handles():
     """Return the process that is copied, if it is a child of this one, and the descriptor of the connection to it.
 
     Two lists, which may be empty.

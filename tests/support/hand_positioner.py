@@ -23,14 +23,14 @@ SPEED_DEG_PER_S = 2.0
 DEAF_S = 2.0
 
 
-class HandPositioner:
+class FakePositioner:
     """A driver without a unit behind it: both axes turn at once, and it counts in degrees."""
 
     def __init__(self, clock):
         self._clock = clock
         self._at, self._to, self._since_s = [0.0, 60.0], [0.0, 60.0], clock.monotonic()
         self.sent = []
-        self.says = {}
+        self.telemetry_overrides = {}
         self.identity = PositionerIdentity("board", "1", "7")
         self.is_lost = self.is_deaf = False
         self.refuses = {}
@@ -75,13 +75,13 @@ class HandPositioner:
             "status_monotonic_s": now_s - self.status_age_s,
             "a_motor_current_a": 0.0,
             "b_motor_current_a": 0.0,
-            **self.says,
+            **self.telemetry_overrides,
         }
         return Telemetry(now_s, a_deg, b_deg, a_deg, b_deg, *self._to, **says)
 
     async def disable_autonomy(self):
         self._answer("disable_autonomy")
-        self.says.pop("autonomous", None)
+        self.telemetry_overrides.pop("autonomous", None)
 
     async def move_to(self, a_deg, b_deg, *, first="a"):
         self._answer("move", a_deg, b_deg, first)
@@ -106,7 +106,7 @@ class HandPositioner:
         self._answer("clear", forgive)
         before = await self.read_telemetry()
         for name in ("faults", "was_reset", *(("reference_doubt",) if forgive else ())):
-            self.says.pop(name, None)
+            self.telemetry_overrides.pop(name, None)
         return before
 
     def _answer(self, name, *what):
@@ -122,7 +122,7 @@ class HandPositioner:
             self._homed_s = -math.inf
 
 
-class RepeatingPositioner(HandPositioner):
+class RepeatingFakePositioner(FakePositioner):
     """The same, but `repeated_s` says that its telemetry has not changed, while `shows_the_same`."""
 
     shows_the_same = True
@@ -156,42 +156,42 @@ class MotionRig:
     def _changed(self):
         self.changes += 1
 
-    def of(self, kind):
+    def records_of(self, kind):
         return [record for record in self.records if isinstance(record, kind)]
 
     @property
-    def told(self):
-        return [event.text for event in self.of(Event) if event.subject == "positioner"]
+    def positioner_events(self):
+        return [event.text for event in self.records_of(Event) if event.subject == "positioner"]
 
     @property
     def moves(self):
-        return self.of(Move)
+        return self.records_of(Move)
 
     @property
     def poses(self):
-        return self.of(Pose)
+        return self.records_of(Pose)
 
     @property
-    def raised(self):
+    def active_alarms(self):
         return {alarm.name: alarm.text for alarm in self.alarms.active}
 
     async def until(self, condition, within_s=60.0):
         deadline_s = self.clock.monotonic() + within_s
         while not condition():
-            assert self.clock.monotonic() < deadline_s, f"not within {within_s} s; told: {self.told}"
+            assert self.clock.monotonic() < deadline_s, f"not within {within_s} s; told: {self.positioner_events}"
             await asyncio.sleep(0.05)
 
-    async def connected(self):
+    async def wait_until_connected(self):
         await self.until(lambda: self.motion.connected and self.motion.stands_since_s is not None)
         await asyncio.sleep(1.0)
 
 
-async def asleep(rig):
+async def wait_out_standstill(rig):
     """Let time pass until every rule that asks for a standstill is satisfied."""
     await asyncio.sleep(30.0)
 
 
-def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=True, make=HandPositioner, **settings):
+def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=True, make=FakePositioner, **settings):
     """Run an async function that is given the rig, with motion running, and return the rig."""
     with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         rig = MotionRig(runner.get_loop(), settings, expected or PositionerSettings(), folder, polling, make)
@@ -213,5 +213,5 @@ def run_motion(scenario, *, folder=None, expected=None, polling=OFTEN, connects=
 
 async def _act(scenario, rig, connects):
     if connects:
-        await rig.connected()
+        await rig.wait_until_connected()
     await scenario(rig)

@@ -150,7 +150,7 @@ CATEGORIES = {
 STATE_CLASSES = {"measurement", "measurement_angle", "total", "total_increasing"}
 
 
-def faults(topic, document):
+def discovery_errors(topic, document):
     """Return what Home Assistant would refuse, one line each."""
     found = []
     if not re.fullmatch(r"[^+#]+/device/([A-Za-z0-9_-]+/)?[A-Za-z0-9_-]+/config", topic):

@@ -86,7 +86,7 @@ def _descriptors() -> dict[str, str]:
             "/tmp" in target and "site-packages" not in target
         ):
             found[number] = target
-    _, asked_on = forks.kept()
+    _, asked_on = forks.origin_handles()
     return {number: target for number, target in found.items() if int(number) not in asked_on}
 
 
@@ -94,7 +94,7 @@ def children() -> dict[int, str]:
     """Return the child processes that nobody has waited for, with their commands."""
     found = forks.running()
     # The kernel's own list of children: asking every process of the machine for its parent took longer than most tests.
-    origin, _ = forks.kept()
+    origin, _ = forks.origin_handles()
     tasks = os.listdir("/proc/self/task")  # noqa: PTH208
     for number in set(" ".join(_read(f"/proc/self/task/{task}/children") for task in tasks).split()):
         if int(number) not in origin:

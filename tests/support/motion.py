@@ -11,16 +11,16 @@ CLEAR_PACKET, HOME_A_PACKET = b"$\x88", b"$95"
 TRACKING_OFF_PACKET = encode_command(Field.MODE, wire.TRACKING_OFF)
 
 
-def drive(rig, field, value):
+def send_foreign_command(rig, field, value):
     """Send a command as another program would."""
     rig.unit.feed(encode_command(field, value), rig.clock.monotonic())
 
 
-def drive_b(rig, angle_deg):
-    drive(rig, Field.B_ANGLE, angle_deg)
+def send_foreign_b_target(rig, angle_deg):
+    send_foreign_command(rig, Field.B_ANGLE, angle_deg)
 
 
-def lose(rig, monkeypatch, *starts):
+def lose_packets(rig, monkeypatch, *starts):
     """Lose packets that start so on their way to the unit."""
     feed = rig.unit.feed
 
@@ -31,7 +31,7 @@ def lose(rig, monkeypatch, *starts):
     monkeypatch.setattr(rig.unit, "feed", lossy)
 
 
-def show(rig, **fields):
+def override_telemetry(rig, **fields):
     """Let telemetry say what the simulated unit would not say by itself."""
     read = type(rig.positioner).read_telemetry
 
@@ -60,11 +60,11 @@ def commands_sent(rig, monkeypatch):
     return sent
 
 
-def targets(sent):
+def target_packets(sent):
     return [data for _, data in sent if data[:2] in (A_PACKET, B_PACKET)]
 
 
-async def moves_for(rig, within_s):
+async def motion_duration_s(rig, within_s):
     """Return for how long something truly moves from now on [s], looking ten times a second."""
     start, last, before = rig.clock.monotonic(), None, rig.truth()
     while rig.clock.monotonic() - start < within_s:
@@ -76,6 +76,6 @@ async def moves_for(rig, within_s):
     return 0.0 if last is None else last - start
 
 
-async def cleared(rig):
+async def clear_blocking_faults(rig):
     rig.motion.clear_faults(shown=rig.motion.concerns)
     await rig.until(lambda: rig.motion.blocked is None, 20, "the release")

@@ -11,22 +11,22 @@ from random import Random
 import aiomqtt
 import pytest
 
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.timeloop import ScaledTimeLoop
 from daemon.config.settings import Settings
 from daemon.mqtt.companion import links
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
 from tests.support import PATIENCE_S
-from tests.support.broker import LEFT_OUT, MOSQUITTO, Broker
-from tests.support.rig import KEY, HandWeather, ServiceRig
+from tests.support.broker import MOSQUITTO, UNTESTED_WITH_AMQTT, Broker
+from tests.support.rig import KEY, ManualWeather, ServiceRig
 
 # Fast enough for minutes to pass in seconds, slow enough for a busy machine to answer in time.
 SPEED = 20.0
 
-needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason=f"amqtt has no {LEFT_OUT}")
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason=f"amqtt has no {UNTESTED_WITH_AMQTT}")
 
 
 @pytest.fixture
@@ -62,21 +62,21 @@ class Observer:
             async for message in self.client.messages:
                 self.heard.append(message)
 
-    async def say(self, topic, payload=b"", retain=False):
+    async def publish(self, topic, payload=b"", retain=False):
         if not isinstance(payload, bytes | str):
             payload = json.dumps(payload)
         # No limit of aiomqtt's own: that uses `asyncio.wait_for`, which may swallow a cancellation on Python 3.11.
         async with asyncio.timeout(10 * SPEED):
             await self.client.publish(topic, payload, qos=1, retain=retain, timeout=math.inf)
 
-    def on(self, topic):
+    def messages_on(self, topic):
         return [message for message in self.heard if message.topic.value == topic]
 
     async def until(self, topic, holds=lambda _: True, after=0):
         """Return the first payload on a topic for which `holds`; JSON is decoded."""
 
         def found():
-            for message in self.on(topic)[after:]:
+            for message in self.messages_on(topic)[after:]:
                 if holds(told := _read(message.payload)):
                     return [told]
             return None
@@ -101,11 +101,11 @@ async def until(condition, what, within_s=PATIENCE_S):
     return found
 
 
-async def calm(rig, lab, messages):
+async def report_safe_inputs(rig, lab, messages):
     """Say by topic that all is safe, until every safety input has heard it: the tracker tracks only then."""
     for _ in range(100):
         for topic, payload in messages.items():
-            await lab.say(topic, payload)
+            await lab.publish(topic, payload)
         await asyncio.sleep(0.1 * SPEED)
         if all(item.age_s is not None for item in rig.mqtt.status.inputs):
             return
@@ -129,10 +129,10 @@ class BrokerRig(ServiceRig):
     """The rig with a broker."""
 
     def __init__(self, loop, settings, speed, role=Role.BOTH, start="2022-10-12T10:00"):
-        super().__init__(loop, settings, datetime.fromisoformat(start).replace(tzinfo=UTC), HandWeather(), role)
+        super().__init__(loop, settings, datetime.fromisoformat(start).replace(tzinfo=UTC), ManualWeather(), role)
         self.links = links(settings, role, self.clock, Random(1), self.bus.publish, speed)
         self.mqtt = next(iter(self.links.values()))
-        recent = Recent()
+        recent = RecentRecords()
         self.bus.subscribe(recent.note)
         tracker, cube = role is not Role.CUBE, role is not Role.TRACKER
         self.service = Service(
@@ -148,7 +148,7 @@ class BrokerRig(ServiceRig):
             Random(1),
             self.bus,
             KEY,
-            Notifier({}, 0),
+            SystemdNotifier({}, 0),
             1.0,
             stow_sources={name: link.stow_sources() for name, link in self.links.items()},
             send_beyond=self.mqtt.send_scan if settings.bridge.transport == "mqtt" else None,
@@ -172,7 +172,7 @@ def settings_for(port, **sections):
 
 
 @contextlib.asynccontextmanager
-async def serving(*rigs):
+async def run_services(*rigs):
     """Run services, and end them as a signal does."""
     stop = asyncio.Event()
     tasks = [asyncio.create_task(rig.run_until(stop)) for rig in rigs]
@@ -184,7 +184,7 @@ async def serving(*rigs):
 
 
 @pytest.fixture
-def scaled():
+def run_scaled():
     """Run a scenario on a loop that is `SPEED` times as fast as the machine's clock."""
 
     def run(scenario):

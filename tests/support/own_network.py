@@ -13,7 +13,7 @@ _CLONE_NEWNET = 0x40000000
 def in_own_network(work: Callable[[], None]) -> None:
     """Run `work` in a thread whose sockets and programs have a network of their own, with 127.0.0.1 and nothing else.
 
-    Needs what `tests.support.bad_network.without_namespaces` asks for. Raises what `work` raises.
+    Needs what `tests.support.bad_network.why_no_namespaces` asks for. Raises what `work` raises.
     """
 
     def within() -> None:
@@ -27,12 +27,12 @@ def in_own_network(work: Callable[[], None]) -> None:
         thread.submit(within).result()
 
 
-def add(address: str) -> None:
+def add_address(address: str) -> None:
     """Give this thread's network an address."""
     _ip("address", "add", f"{address}/32", "dev", "lo")
 
 
-def take(address: str) -> None:
+def remove_address(address: str) -> None:
     """Take an address from this thread's network."""
     _ip("address", "del", f"{address}/32", "dev", "lo")
 

@@ -23,7 +23,7 @@ POLITE = "10"
 _FIRST_WRONG, _FIRST_RIGHT = (6, 12), (6, 18, 45)
 
 
-class Pass:
+class PytestRun:
     """One run of pytest: prints its lines as they come, each behind its name, and its results in one piece.
 
     Parameters
@@ -77,12 +77,12 @@ def exit_code(codes):
 def run(waiting, computing, *, at_once, say):
     """Run both commands, at once or one after the other, and return the exit code for both."""
     if not at_once:
-        return exit_code([Pass("computing", computing, say).wait(), Pass("waiting", waiting, say).wait()])
-    both = [Pass("computing", computing, say), Pass("  waiting", waiting, say)]
+        return exit_code([PytestRun("computing", computing, say).wait(), PytestRun("waiting", waiting, say).wait()])
+    both = [PytestRun("computing", computing, say), PytestRun("  waiting", waiting, say)]
     return exit_code([one.wait() for one in both])
 
 
-def misplaces_sessions(release):
+def has_session_share_bug(release):
     """Return whether this release of Linux lets the kernel's own threads wait for a session that often waits."""
     numbers = re.match(r"(\d+)\.(\d+)(?:\.(\d+))?", release)
     return numbers is not None and _FIRST_WRONG <= tuple(int(number or 0) for number in numbers.groups()) < _FIRST_RIGHT
@@ -107,9 +107,9 @@ def session_share(nice, share=_SHARE):
             share.write_text(before[1], encoding="ascii")
 
 
-def behind_the_kernel(share=_SHARE, release=None):
+def smaller_session_share(share=_SHARE, release=None):
     """Give this session less than the kernel's threads have, which carry what is written to pseudo-terminals."""
-    wrong = misplaces_sessions(platform.release() if release is None else release)
+    wrong = has_session_share_bug(platform.release() if release is None else release)
     return session_share(SMALL_SHARE, share) if wrong else contextlib.nullcontext()
 
 
@@ -127,7 +127,7 @@ def main(workers, waiting, *arguments):
     at_once = len(os.sched_getaffinity(0)) > 1
     # Computing has no deadline and gets a small share: instruments and services beside it have deadlines.
     polite = ("nice", "-n", POLITE) if at_once else ()
-    with behind_the_kernel():
+    with smaller_session_share():
         return run(live, (*polite, *computing), at_once=at_once, say=_say)
 
 

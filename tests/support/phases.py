@@ -10,36 +10,36 @@ def now(rig):
 
 
 def modes(rig):
-    return [change.after for change in rig.of(ModeChange)]
+    return [change.after for change in rig.records_of(ModeChange)]
 
 
-def told(rig):
-    return [event.text for event in rig.of(Event) if event.subject == "positioner"]
+def positioner_events(rig):
+    return [event.text for event in rig.records_of(Event) if event.subject == "positioner"]
 
 
-async def tracking(rig):
+async def wait_for_tracking(rig):
     await rig.until_mode(Mode.TRACKING, 120)
 
 
-async def under_way(rig):
+async def wait_for_move(rig):
     """Wait for a move to be well on its way."""
-    await tracking(rig)
+    await wait_for_tracking(rig)
     await rig.until(lambda: rig.motion.target is not None, 5, "a move")
     await asyncio.sleep(3)
     assert rig.motion.target is not None
 
 
-async def at_rest(rig):
+async def wait_for_rest(rig):
     await rig.until(lambda: not rig.motion.moving, 300, "rest")
 
 
-async def quiet(rig):
+async def wait_for_long_rest(rig):
     """Wait until the tracker is in TRACKING and stands, with its last move long over."""
-    await tracking(rig)
-    await at_rest(rig)
+    await wait_for_tracking(rig)
+    await wait_for_rest(rig)
     await asyncio.sleep(20)
 
 
-async def homed(rig):
+async def wait_for_homing(rig):
     await rig.until(lambda: rig.motion.homing, 10, "homing")
     await rig.until(lambda: not rig.motion.homing, 900, "the end of homing")

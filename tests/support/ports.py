@@ -30,7 +30,7 @@ def transcript():
     return lambda name: parse((TRANSCRIPTS / f"{name}.transcript").read_text(encoding="utf-8").splitlines())
 
 
-class Player(threading.Thread):
+class TranscriptPlayer(threading.Thread):
     """Plays the instrument's part of a transcript on a port, and notes what it receives, up to the first difference."""
 
     def __init__(self, pieces, link):
@@ -63,7 +63,7 @@ class Player(threading.Thread):
 @pytest.fixture
 def play():
     """Return the class that plays the instrument's part of a transcript."""
-    return Player
+    return TranscriptPlayer
 
 
 class Module:

@@ -104,7 +104,7 @@ class Postgres:
     def hang(self):
         self._signal(signal.SIGSTOP)
 
-    def go_on(self):
+    def resume(self):
         self._signal(signal.SIGCONT)
 
     def close(self):

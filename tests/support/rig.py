@@ -9,30 +9,30 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop, call_until
 from daemon.config.settings import Settings
 from daemon.motion.polling import OFTEN, Polling
-from daemon.rigs.campaign.rig import KEY, HandledRig, HandWeather
-from daemon.service.recent import Recent
+from daemon.rigs.campaign.rig import KEY, InMemoryRig, ManualWeather
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Role
 from daemon.service.snapshot import snapshot
 
-__all__ = ["KEY", "SITE", "HandWeather", "ServiceRig", "run_rig"]
+__all__ = ["KEY", "SITE", "ManualWeather", "ServiceRig", "run_rig"]
 
 SITE = Settings().site.place()
 
 
-class ServiceRig(HandledRig):
+class ServiceRig(InMemoryRig):
     """The rig, with what tests want to know of it."""
 
     kept_in = StateFolder
-    begins_anew = True
+    has_fixed_start_pose = True
 
-    def keep_in(self, directory):
+    def make_state_folder(self, directory):
         return self.kept_in(directory)
 
-    def see(self, recent=None, store=None, links=None):
+    def take_snapshot(self, recent=None, store=None, links=None):
         """Take a snapshot; `recent` holds the records from the bus, if the test needs them."""
-        return snapshot(self.service, Recent() if recent is None else recent, 1.0, store, links or {})
+        return snapshot(self.service, RecentRecords() if recent is None else recent, 1.0, store, links or {})
 
-    def of(self, kind):
+    def records_of(self, kind):
         return [record for record in self.records if isinstance(record, kind)]
 
     async def until(self, condition, within_s, what, every_s=None):
@@ -71,7 +71,7 @@ def run_rig():
                 loop,
                 settings,
                 datetime.fromisoformat(start).replace(tzinfo=UTC),
-                HandWeather() if weather is None else weather,
+                ManualWeather() if weather is None else weather,
                 role,
                 setup,
                 OFTEN if rest_look_s is None else Polling(idle_s=rest_look_s),

@@ -80,7 +80,7 @@ class Rotctld:
             assert time.monotonic() < deadline_s, "rotctld does not stop"
             time.sleep(0.005)
 
-    def go_on(self):
+    def resume(self):
         self.process.send_signal(signal.SIGCONT)
 
 

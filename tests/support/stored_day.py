@@ -21,7 +21,7 @@ from daemon.base.records import (
     Target,
 )
 from daemon.store.store import Origin, Store
-from solar.energy import build_sky, faces_under, lay_out
+from solar.energy import arrange_daylight, build_sky, face_irradiances
 from solar.ephemeris import Site
 
 DAY_S = 86400.0
@@ -33,7 +33,7 @@ EVERY_S = 60.0
 DNI, DHI = 500.0, 100.0
 GAP = (T0 + 15 * 3600, T0 + 15 * 3600 + 1800.0)
 FLAGGED = (T0 + 11 * 3600, T0 + 11 * 3600 + 600.0)
-STRANGER = "<script>alert('x')</script>"
+HOSTILE_NAME = "<script>alert('x')</script>"
 
 
 def instants(days):
@@ -42,9 +42,9 @@ def instants(days):
 
 def faces_of(utc_s):
     """Return what the faces read [W/m2], shape (n, 4): a uniform sky while the sun is up, nothing at night."""
-    weather = lay_out(utc_s, np.full(utc_s.size, DNI), np.full(utc_s.size, DHI), SITE, EVERY_S)
+    weather = arrange_daylight(utc_s, np.full(utc_s.size, DNI), np.full(utc_s.size, DHI), SITE, EVERY_S)
     found = np.zeros((utc_s.size, 4))
-    found[np.isin(utc_s, weather.utc_s)] = faces_under(build_sky(weather, "isotropic"), 0.2)
+    found[np.isin(utc_s, weather.utc_s)] = face_irradiances(build_sky(weather, "isotropic"), 0.2)
     return found
 
 
@@ -65,7 +65,7 @@ def scans(days, simulated):
         )  # fmt: skip
 
 
-def of_tracker(days, tracker):
+def tracker_records(days, tracker):
     """Yield a tracker's poses, one move at noon of each day, its modes and decisions."""
     yield ModeChange(T0 + 1.0, 0.0, Mode.STARTING, Mode.NIGHT, "the sun is down", tracker)
     for day in range(days):
@@ -96,18 +96,18 @@ def decision(at, tracker):
     )  # fmt: skip
 
 
-def told(tracker):
+def alarm_events(tracker):
     def event(hour, subject, text):
         return Event(T0 + hour * 3600.0, 0.0, subject, text, tracker)
 
     yield event(9.0, "alarm", "raised cube-lost: the cube is silent: look at its PC")
-    yield event(9.5, "alarm", f"acknowledged cube-lost by {STRANGER}")
+    yield event(9.5, "alarm", f"acknowledged cube-lost by {HOSTILE_NAME}")
     yield event(10.0, "alarm", "cleared cube-lost: the cube is silent: look at its PC")
-    yield event(12.5, "operator", f"hold by {STRANGER}")
+    yield event(12.5, "operator", f"hold by {HOSTILE_NAME}")
     yield event(16.0, "alarm", "raised day-budget: the day's moves are used up")
 
 
-def opened(directory, simulated=True, name="roof"):
+def open_store(directory, simulated=True, name="roof"):
     """Open a store for one run."""
     origin = Origin(
         started_utc_s=T0, role="both", version="0.1.0", simulated=simulated, site="Greenwich & Sons",
@@ -118,11 +118,11 @@ def opened(directory, simulated=True, name="roof"):
 
 def stored_days(directory, days=1, trackers=("roof",), simulated=True):
     """Write the store and return its folder."""
-    store = opened(directory, simulated, trackers[0] if len(trackers) == 1 else "")
+    store = open_store(directory, simulated, trackers[0] if len(trackers) == 1 else "")
     for record in scans(days, simulated):
         store.keep(record)
     for tracker in trackers:
-        for record in (*of_tracker(days, tracker), *told(tracker)):
+        for record in (*tracker_records(days, tracker), *alarm_events(tracker)):
             store.keep(record)
     store.close()
     return directory

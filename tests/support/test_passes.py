@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from tests.support.passes import behind_the_kernel, exit_code, misplaces_sessions, run
+from tests.support.passes import exit_code, has_session_share_bug, run, smaller_session_share
 
 
 def python(code):
@@ -55,12 +55,12 @@ def test_each_output_line_bears_the_name_of_its_test_pass_and_results_are_printe
 def test_the_session_gets_a_smaller_share_only_on_kernels_that_misplace_sessions(tmp_path, release, wrong):
     share = tmp_path / "autogroup"
     share.write_text("/autogroup-17 nice 2\n")
-    assert misplaces_sessions(release) is wrong
-    with behind_the_kernel(share, release):
+    assert has_session_share_bug(release) is wrong
+    with smaller_session_share(share, release):
         assert (share.read_text() == "6") is wrong
     assert share.read_text().strip() == ("2" if wrong else "/autogroup-17 nice 2")
 
 
 def test_on_a_kernel_without_session_shares_no_share_is_written(tmp_path):
-    with behind_the_kernel(tmp_path / "nothing", "6.18.44"):
+    with smaller_session_share(tmp_path / "nothing", "6.18.44"):
         assert not (tmp_path / "nothing").exists()

@@ -12,7 +12,7 @@ from solar.ephemeris import extraterrestrial_dni, sun_direction
 from solar.skies.sky import sky
 
 
-class Hand:
+class SettableClock:
     """A clock that a test sets."""
 
     def __init__(self, utc_s, off_s=0.0):
@@ -34,7 +34,7 @@ class WatchedDay:
     """Faces of a day with a cloud every 20 minutes, given to a watch scan by scan."""
 
     def __init__(self, start_utc_s, off_s=0.0, directory=None, **faces):
-        self.clock = Hand(start_utc_s, off_s)
+        self.clock = SettableClock(start_utc_s, off_s)
         self.synchronised = None
         settings = Settings()
         self.site = settings.site.place()
@@ -75,5 +75,5 @@ class WatchedDay:
         self.clock.utc_s += lasts_s
         self.clock.slept_s += lasts_s
 
-    def doubted(self):
+    def implausible_faces(self):
         return [face for face in range(4) if self.watch.implausible(face)]

@@ -5,7 +5,7 @@ import json
 from mimetypes import guess_type
 from urllib.parse import parse_qs, urlsplit
 
-from daemon.api.history import instant
+from daemon.api.history import parse_query_time
 from daemon.api.sun import sun_json
 from daemon.base.clock import SystemClock, iso_utc
 from daemon.base.errors import UserError
@@ -110,14 +110,14 @@ class MadeSite:
     def _read(self, what, query):
         store = self.folder / FILE_NAME
         if what == "sun":
-            return {"json": sun_json(self.site, instant("at", query["at"]))}
+            return {"json": sun_json(self.site, parse_query_time("at", query["at"]))}
         if self.failures:
             self.failures -= 1
             return {"status": 502, "json": {"error": "the service cannot be reached"}}
         if what == "days":
             return {"json": {"days": stored_days(store, self.site.longitude_deg)}}
         kind = what.removeprefix("history/")
-        span = (instant("from", query["from"]), instant("to", query["to"]), query["tracker"])
+        span = (parse_query_time("from", query["from"]), parse_query_time("to", query["to"]), query["tracker"])
         if kind in KINDS_OF_LINES:
             return {"json": lines_of(store, kind, *span)}
         return {"body": gzip.decompress(packed_numbers(store, kind, *span))}

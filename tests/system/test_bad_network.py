@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from tests.support.bad_network import BadNetwork, without_namespaces
+from tests.support.bad_network import BadNetwork, why_no_namespaces
 from tests.system.processes import wait_until
 
 pytestmark = pytest.mark.system
@@ -15,7 +15,7 @@ WATCHED_S = 4.0
 
 @pytest.fixture(scope="module")
 def _possible():
-    why = without_namespaces()
+    why = why_no_namespaces()
     if why:
         pytest.skip(why)
 

@@ -6,7 +6,7 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright is no
 
 from daemon.base.clock import iso_utc  # noqa: E402 - as below
 from daemon.base.records import Event, Mode, ModeChange, Move, MoveOutcome  # noqa: E402 - as below
-from daemon.service.recent import Recent  # noqa: E402 - as below
+from daemon.service.recent import RecentRecords  # noqa: E402 - as below
 from tests.system import browser as browsers  # noqa: E402 - it needs playwright
 from tests.system.made_page import TRACKER, MadeSite  # noqa: E402 - as above
 from tests.system.test_day_in_browser import scan  # noqa: E402 - as above
@@ -79,7 +79,7 @@ def test_an_event_has_the_same_words_and_time_in_the_now_view_and_in_the_day_vie
     before, after = Mode.STARTING, Mode.TRACKING
     change = ModeChange(NOON - 61.0, 0.0, before=before, after=after, why="good", tracker=TRACKER)
     records = [change, *moves, Event(NOON - 30.0, 0.0, "made", "an event", TRACKER)]
-    site, recent = MadeSite(tmp_path), Recent()
+    site, recent = MadeSite(tmp_path), RecentRecords()
     site.keep(*records)
     for record in records:
         recent.note(record)

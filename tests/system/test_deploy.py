@@ -13,7 +13,7 @@ from random import Random
 import pytest
 
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.signing import generate_key, write_key
@@ -234,7 +234,7 @@ def test_a_stalled_control_or_acquisition_leaves_the_watchdog_unanswered_though_
         settings = Settings.model_validate({"bridge": {"listen": "127.0.0.1:0", "send_to": ()}})
         clock = LoopClock(loop.time, DEFAULT_START.timestamp())
         weather, _ = build_weather(settings, clock.utc(), clock.utc() + 3600)
-        notifier = Notifier({"NOTIFY_SOCKET": receiver.getsockname(), "WATCHDOG_USEC": "10000000"}, os.getpid())
+        notifier = SystemdNotifier({"NOTIFY_SOCKET": receiver.getsockname(), "WATCHDOG_USEC": "10000000"}, os.getpid())
         rig = build_simulated_rig(settings, Role.BOTH, clock, weather)
         service = Service(settings, Role.BOTH, rig, clock, Random(1), Bus(), generate_key(), notifier)
         stop = asyncio.Event()

@@ -2,8 +2,8 @@
 
 import pytest
 
-from daemon.studies.report.material import from_store
-from daemon.studies.report.span import Wanted
+from daemon.studies.report.material import read_material
+from daemon.studies.report.span import RequestedSpan
 from tests.support.stored_day import T0, stored_days
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -21,7 +21,9 @@ def test_the_report_page_loads_no_other_file_runs_no_script_and_passes_the_acces
     from daemon.studies.report.write import write_reports  # noqa: PLC0415 - every process that waits would load plots
 
     store = stored_days(tmp_path / "store", days=2)
-    materials = from_store(store, Wanted(start="2022-10-14", end="2022-10-16"), None, T0 + 9e6, lambda _share: None)
+    materials = read_material(
+        store, RequestedSpan(start="2022-10-14", end="2022-10-16"), None, T0 + 9e6, lambda _share: None
+    )
     (path,) = write_reports(materials, tmp_path / "out", None, lambda _share: None, force=False)
     with browsers.chromium() as browser:
         for viewport, scheme in ((browsers.PHONE, "dark"), (browsers.DESKTOP, "light")):

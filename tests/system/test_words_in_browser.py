@@ -2,7 +2,7 @@
 
 import pytest
 
-from daemon.base.alarms.kinds import KINDS, as_typed
+from daemon.base.alarms.kinds import KINDS, with_tracker_option
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -79,7 +79,7 @@ def shown(browser, folder, remedies, why="x"):
 @pytest.mark.parametrize("tracker", [None, "t7"])
 def test_the_remedy_of_an_alarm_names_the_buttons_of_the_page(browser, tmp_path, tracker):
     kinds = ("unexplained-motion", "positioner-fault", "release-changed")
-    said = shown(browser, tmp_path, [as_typed(KINDS[kind].remedy, tracker) for kind in kinds])
+    said = shown(browser, tmp_path, [with_tracker_option(KINDS[kind].remedy, tracker) for kind in kinds])
     moved, *others = said["remedies"]
     assert moved == (
         "What to do: somebody may be at the axes: find out who or what moved them. If the angles of status agree with"

@@ -13,13 +13,13 @@ from typing import Any, cast
 import h11
 from starlette.datastructures import Headers
 
-from daemon.api.gate import GIVEN_UP, Token
+from daemon.api.gate import CLIENT_GONE_KEY, Token
 from daemon.api.refusals import ApiRefusals
-from daemon.base.addresses import without_mapping
-from daemon.base.piecewise import READ_AT_ONCE, TOO_LONG, PiecewiseProtocol
+from daemon.base.addresses import unmap_ipv4
+from daemon.base.piecewise import HEAD_TOO_LONG_TEXT, READ_AT_ONCE, PiecewiseProtocol
 
 _MOST = 384
-MOST_OF_AN_ADDRESS = 32
+MOST_PER_ADDRESS = 32
 _CHECK_EVERY_S = 1.0
 # Until the end of the first request's head. A later request has five seconds to begin, and its head as long again.
 _HEAD_WITHIN_S = 5.0
@@ -62,8 +62,8 @@ class Connections:
         """Take a new connection in, at the cost of one without the token if need be; return whether there was room."""
         own = [one for one in self._open if one.address == new.address]
         # All clients behind a tunnel or a proxy on this machine come from loopback, which has no limit of its own.
-        crowd = own if len(own) >= MOST_OF_AN_ADDRESS and not new.from_loopback else list(self._open)
-        if len(crowd) >= (MOST_OF_AN_ADDRESS if crowd is own else _MOST):
+        crowd = own if len(own) >= MOST_PER_ADDRESS and not new.from_loopback else list(self._open)
+        if len(crowd) >= (MOST_PER_ADDRESS if crowd is own else _MOST):
             idle = (one for one in crowd if one.is_idle)
             given_up = next(idle, None) or next((one for one in crowd if not one.bears_the_token), None)
             whose = f"from {new.address}" if crowd is own else "in all"
@@ -75,7 +75,7 @@ class Connections:
         self._open[new] = None
         return True
 
-    def used(self, one: "HttpConnection") -> None:
+    def mark_used(self, one: "HttpConnection") -> None:
         """Take note that a connection has got a whole request: it is the last to be given up."""
         if one in self._open:
             del self._open[one]
@@ -91,7 +91,7 @@ class Connections:
             await asyncio.sleep(_CHECK_EVERY_S * self.speed)
             for one in list(self._open):
                 one.check()
-            self.refusals.settle()
+            self.refusals.log_ended_floods()
 
 
 class HttpConnection(PiecewiseProtocol):
@@ -135,9 +135,9 @@ class HttpConnection(PiecewiseProtocol):
         self._waiting_since_s = self._last_progress_s = self.loop.time()
         # A socket for all of IPv6 shows the address of an IPv4 client wrapped in IPv6.
         if self.server is not None:
-            self.server = (without_mapping(self.server[0]), self.server[1])
+            self.server = (unmap_ipv4(self.server[0]), self.server[1])
         if self.client is not None:
-            self.client = (without_mapping(self.client[0]), self.client[1])
+            self.client = (unmap_ipv4(self.client[0]), self.client[1])
             self.address = self.client[0]
             self.from_loopback = ipaddress.ip_address(self.address).is_loopback
         if not self._connections.admit(self):
@@ -149,7 +149,7 @@ class HttpConnection(PiecewiseProtocol):
         if self._garbage_timer is not None:
             self._garbage_timer.cancel()
         if isinstance(exc, ConnectionResetError) and self.cycle is not None:
-            self.cycle.scope.setdefault("extensions", {})[GIVEN_UP] = {}
+            self.cycle.scope.setdefault("extensions", {})[CLIENT_GONE_KEY] = {}
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
@@ -160,7 +160,7 @@ class HttpConnection(PiecewiseProtocol):
         super().data_received(data)
         if waited and not self._waits_for_a_head:
             self._waiting_since_s = self.loop.time()
-            self._connections.used(self)
+            self._connections.mark_used(self)
         if self.conn.their_state is not h11.SEND_BODY:
             return
         if self.conn.our_state is h11.DONE:
@@ -212,7 +212,7 @@ class HttpConnection(PiecewiseProtocol):
         if not self.transport.is_closing():
             status, why = "400 Bad Request", "this is not HTTP"
             if self.head_is_too_long:
-                status, why = "431 Request Header Fields Too Large", TOO_LONG
+                status, why = "431 Request Header Fields Too Large", HEAD_TOO_LONG_TEXT
             content = f'{{"error":"{why}"}}'
             head = f"HTTP/1.1 {status}\r\ncontent-type: application/json\r\ncontent-length: {len(content)}\r\n"
             self.drop_unread()

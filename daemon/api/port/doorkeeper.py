@@ -15,9 +15,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from daemon.api.gate import Token
-from daemon.api.port.connections import MOST_OF_AN_ADDRESS
+from daemon.api.port.connections import MOST_PER_ADDRESS
 from daemon.api.refusals import ApiRefusals
-from daemon.base.addresses import without_mapping
+from daemon.base.addresses import unmap_ipv4
 from daemon.base.recurrence import RateLimit
 
 # The kernel's queue, at most net.core.somaxconn; when it is full, a new client has to wait for a second.
@@ -102,7 +102,7 @@ class Doorkeeper:
                 self._after(_AGAIN_AFTER_S, self._start_accepting)
                 return
             accepted.setblocking(False)
-            self._handle_new_caller(_Caller(accepted, without_mapping(address[0]), self._loop.time()))
+            self._handle_new_caller(_Caller(accepted, unmap_ipv4(address[0]), self._loop.time()))
 
     def _handle_new_caller(self, caller: _Caller) -> None:
         said = _peek(caller)
@@ -129,9 +129,7 @@ class Doorkeeper:
 
     def _too_many_from(self, address: str) -> bool:
         # All clients behind a tunnel or a proxy on this machine come from loopback, which has no limit of its own.
-        return (
-            self._callers_per_address[address] >= MOST_OF_AN_ADDRESS and not ipaddress.ip_address(address).is_loopback
-        )
+        return self._callers_per_address[address] >= MOST_PER_ADDRESS and not ipaddress.ip_address(address).is_loopback
 
     def _on_readable(self, caller: _Caller) -> None:
         said = _peek(caller)
@@ -153,7 +151,7 @@ class Doorkeeper:
 
     def _bears_the_token(self, said: bytes) -> bool:
         bearer = _BEARER_HEADER.search(said)
-        return bearer is not None and self._token.is_given(bearer[1])
+        return bearer is not None and self._token.matches(bearer[1])
 
     def _admit_waiting(self) -> None:
         while self._waiting and self._rate.admit(self._loop.time()):

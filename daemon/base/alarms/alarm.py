@@ -50,6 +50,6 @@ class Alarm:
         return "raised" if self.acknowledged_utc_s is None else "acknowledged"
 
     @property
-    def order(self) -> tuple[bool, int, float]:
+    def sort_key(self) -> tuple[bool, int, float]:
         """Sorts alarms as people are shown them: those that are on first, then the most severe, then the oldest."""
         return not self.on, _MOST_SEVERE_FIRST.index(self.kind.severity), self.raised_utc_s

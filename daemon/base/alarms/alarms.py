@@ -92,7 +92,7 @@ class Alarms:
                 self._clear(before)
         elif before is None or not before.on:
             self._raise(name, text, before)
-        elif worse or not tells(before.text, of):
+        elif worse or not mentions_all(before.text, of):
             self._raise(name, text, None)
         elif before.text != text:
             self._shown[name] = replace(before, text=text)
@@ -183,7 +183,7 @@ class Alarms:
         if self._clock.monotonic() - self._started_s > _SAME_AFTER_START_S:
             self._acknowledged_before_start = {}
         elif text is None or (
-            name in self._acknowledged_before_start and not tells(self._acknowledged_before_start[name].text, of)
+            name in self._acknowledged_before_start and not mentions_all(self._acknowledged_before_start[name].text, of)
         ):
             self._acknowledged_before_start.pop(name, None)
         self._save()
@@ -205,6 +205,6 @@ class Alarms:
         self._publish(Event(self._clock.utc(), self._clock.monotonic(), "alarm", text))
 
 
-def tells(text: str, of: Iterable[str]) -> bool:
+def mentions_all(text: str, of: Iterable[str]) -> bool:
     """Return whether the text of an alarm has all of these words, or sentences, each whole."""
     return all(re.search(rf"(?<!\w){re.escape(each)}(?!\w)", text) for each in of)

@@ -307,7 +307,7 @@ KINDS: dict[str, AlarmKind] = {kind.name: kind for kind in _ALL}
 """Every kind by its name, the most severe first."""
 
 
-def as_typed(text: str, tracker: str | None) -> str:
+def with_tracker_option(text: str, tracker: str | None) -> str:
     """Return a text with its commands as they are typed for one of several trackers; None for the only one.
 
     Every part that shows people a text of a tracker passes it through here: the part that makes the text knows of no

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.base.words import counted
-from daemon.commands.answers import JsonOption, goes_on_later, print_json, teller, warn
+from daemon.base.words import pluralise
+from daemon.commands.answers import JsonOption, explain_interruption, message_printer, print_json, warn
 from daemon.commands.options import CONFIG_VARIABLE
 from daemon.studies.inputs import instant
 
@@ -57,18 +57,18 @@ def archive(context: typer.Context, config: ConfigOption = None, to: ToOption = 
     from daemon.base import process
     from daemon.base.clock import SystemClock
     from daemon.config.links import ArchiveSettings, MqttSettings
-    from daemon.config.section import beside, one_section, read_tables
+    from daemon.config.section import read_tables, resolve_file_paths, validate_section
     from daemon.mqtt.credentials import load_user
 
     raw = read_tables(config)
-    own = one_section(config, raw, "archive", ArchiveSettings)
-    mqtt = beside(config, one_section(config, raw, "mqtt", MqttSettings))
+    own = validate_section(config, raw, "archive", ArchiveSettings)
+    mqtt = resolve_file_paths(config, validate_section(config, raw, "mqtt", MqttSettings))
     if mqtt.credentials_file is not None:
         # The file is read again at each connection. Checked here, a missing file is reported at once.
         load_user(mqtt.credentials_file)
-    address = database(config, to)
-    process.configure(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
-    asyncio.run(serve(mqtt, own, address, SystemClock(), process.Notifier(os.environ, os.getpid())))
+    address = find_archive_address(config, to)
+    process.configure_logging(sys.stderr, journal="JOURNAL_STREAM" in os.environ)
+    asyncio.run(serve(mqtt, own, address, SystemClock(), process.SystemdNotifier(os.environ, os.getpid())))
 
 
 @app.command()
@@ -88,25 +88,25 @@ def fill(
     from daemon.archive.fill import fill as write_records
     from daemon.mqtt.topics import check_topic
 
-    address = database(config, to)
+    address = find_archive_address(config, to)
     try:
         check_topic(name)
     except ValueError as error:
         raise UserError(
             f"--name: {error}; it is mqtt.prefix and mqtt.name of the service, such as plant/roof"
         ) from None
-    with goes_on_later(f"what was read so far is in {address}"):
+    with explain_interruption(f"what was read so far is in {address}"):
         found = write_records(store, address, name)
     if as_json:
         print_json({"store": store, "archive": str(address), "installation": name, **found._asdict()})
         return
-    read = counted(found.read, "record was", "records were")
+    read = pluralise(found.read, "record was", "records were")
     typer.echo(f"{store}: {read} read; {found.added} of them are new in {address}, as {name}")
     if found.aside:
-        refused = counted(found.aside, "record was", "records were")
+        refused = pluralise(found.aside, "record was", "records were")
         warn(f"{refused} not taken by the database, and set aside: {_HOW_TO_RETRY}")
     if found.damaged:
-        warn(f"{counted(found.damaged, 'record is', 'records are')} damaged in {store} and left out")
+        warn(f"{pluralise(found.damaged, 'record is', 'records are')} damaged in {store} and left out")
     if found.unsound:
         runs = ", ".join(map(str, found.unsound))
         warn(f"the entry of run {runs} in {store} is damaged: the run's records are left out")
@@ -117,20 +117,20 @@ def retry(config: ConfigOption = None, to: ToOption = None, as_json: JsonOption 
     """Try again to write the records that were set aside because the database did not take them."""
     from daemon.archive.aside import retry as write_again
 
-    address = database(config, to)
-    with goes_on_later(f"what was written so far is in {address}"):
+    address = find_archive_address(config, to)
+    with explain_interruption(f"what was written so far is in {address}"):
         found = write_again(address)
     if as_json:
         print_json({"archive": str(address), **found._asdict()})
         return
-    aside = counted(found.aside, "record was", "records were")
+    aside = pluralise(found.aside, "record was", "records were")
     typer.echo(f"{aside} set aside in {address}; written now: {found.taken}")
     often = sorted(found.still.items(), key=lambda item: -item[1])
     for why, count in often[:_MOST_REASONS]:
-        warn(f"{counted(count, 'record')}: {why}")
+        warn(f"{pluralise(count, 'record')}: {why}")
     if len(often) > _MOST_REASONS:
         rest = sum(count for _, count in often[_MOST_REASONS:])
-        warn(f"{counted(rest, 'record')} for {len(often) - _MOST_REASONS} other reasons")
+        warn(f"{pluralise(rest, 'record')} for {len(often) - _MOST_REASONS} other reasons")
 
 
 @app.command()
@@ -157,39 +157,39 @@ def parquet(
 
     from daemon.archive.parquet import drop_days, write_days
 
-    address, today = database(config, to), datetime.now(UTC).date()
+    address, today = find_archive_address(config, to), datetime.now(UTC).date()
     wanted = None if day is None else instant(day, "--day").date()
     if wanted is not None and not wanted < today:
         raise UserError(f"--day {day}: that day is not over")
-    tell = teller(as_json=as_json)
+    tell = message_printer(as_json=as_json)
     found, dropped = [], []
-    with goes_on_later(f"what was written so far is in {out}"):
+    with explain_interruption(f"what was written so far is in {out}"):
         for one in write_days(address, out, today, wanted):
             found.append(one)
             if one.written:
-                tell(f"{one.path}: {counted(one.rows, 'row')}")
+                tell(f"{one.path}: {pluralise(one.rows, 'row')}")
         if wanted is not None and not found:
             raise UserError(f"--day {day}: {address} has no record of that day")
         if drop_after is not None:
             for one in drop_days(address, out, today - timedelta(days=drop_after)):
                 dropped.append(one)
-                tell(f"{one.kind} of {one.day} dropped: {one.path} has its {counted(one.rows, 'row')}")
+                tell(f"{one.kind} of {one.day} dropped: {one.path} has its {pluralise(one.rows, 'row')}")
     if as_json:
         print_json({"days": [one._asdict() for one in found], "dropped": [one._asdict() for one in dropped]})
         return
-    written = f"{sum(one.written for one in found)} of {counted(len(found), 'file')} written"
-    tell(f"{written}, {counted(len(dropped), 'day')} dropped")
+    written = f"{sum(one.written for one in found)} of {pluralise(len(found), 'file')} written"
+    tell(f"{written}, {pluralise(len(dropped), 'day')} dropped")
 
 
-def database(config: Path | None, named: str | None) -> "ArchiveAddress":
+def find_archive_address(config: Path | None, named: str | None) -> "ArchiveAddress":
     """Return the address of the archive, as named or from the file; raises `UserError`."""
     from dataclasses import replace
 
     from daemon.archive.address import load_password, parse_archive
     from daemon.config.links import ArchiveSettings
-    from daemon.config.section import beside, one_section, read_tables
+    from daemon.config.section import read_tables, resolve_file_paths, validate_section
 
-    settings = beside(config, one_section(config, read_tables(config), "archive", ArchiveSettings))
+    settings = resolve_file_paths(config, validate_section(config, read_tables(config), "archive", ArchiveSettings))
     url = named or settings.database
     if url is None:
         raise UserError("no database is named: set archive.database in the file of --config, or name it with --to")

@@ -29,7 +29,7 @@ def check_readable(store: str) -> None:
 
 
 @contextmanager
-def readable(store: str, span: Span = _whole_span) -> Iterator[tuple[Path, str]]:
+def open_store_or_archive(store: str, span: Span = _whole_span) -> Iterator[tuple[Path, str]]:
     """Yield the folder of a store, and its name for messages; the copy of an archive is deleted afterwards.
 
     Parameters
@@ -47,13 +47,13 @@ def readable(store: str, span: Span = _whole_span) -> Iterator[tuple[Path, str]]
     if not is_archive(store):
         yield Path(store), ""
         return
-    from daemon.archive.reader import ArchiveReader, copied
-    from daemon.base.process import as_ctrl_c
+    from daemon.archive.reader import ArchiveReader, temporary_store
+    from daemon.base.process import signals_as_ctrl_c
 
     reader = ArchiveReader(parse_archive(store))
     try:
         # A copy of months is large, and would be left behind if a lost connection ended the command.
-        with as_ctrl_c(), copied(reader, *span(reader)) as folder:
+        with signals_as_ctrl_c(), temporary_store(reader, *span(reader)) as folder:
             yield folder, f"the archive {reader.address.url}, {reader.installation}"
     finally:
         reader.close()

@@ -15,23 +15,23 @@ class StopKeys:
 
     Attributes
     ----------
-    left
+    exit_requested
         Whether Ctrl-C, a hang-up or an order to end came, so that the program should end after the stop.
     """
 
     def __init__(self, pressed: Callable[[], bool]) -> None:
         self._pressed = pressed
         self._must_stop = False
-        self.left = False
+        self.exit_requested = False
 
     def pressed(self) -> bool:
         """Tell whether, since this began, a key has been pressed or the program been told to end."""
-        self._must_stop = self._must_stop or self.left or self._pressed()
+        self._must_stop = self._must_stop or self.exit_requested or self._pressed()
         return self._must_stop
 
-    def leave(self) -> None:
+    def request_exit(self) -> None:
         """Note that the program has been told to end."""
-        self.left = True
+        self.exit_requested = True
 
 
 @contextlib.contextmanager
@@ -46,7 +46,7 @@ def stop_keys() -> Iterator[StopKeys | None]:
     with _keys() as pressed:
         keys = StopKeys(pressed)
         numbers = [getattr(signal, name) for name in _ENDS if hasattr(signal, name)]
-        before = {number: signal.signal(number, lambda *_: keys.leave()) for number in numbers}
+        before = {number: signal.signal(number, lambda *_: keys.request_exit()) for number in numbers}
         try:
             yield keys
         finally:

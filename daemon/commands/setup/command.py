@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from daemon.base.errors import UserError
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.commands.options import FILES, RoleChoice, unit_role
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from daemon.commands.setup.steps import SetupStep
 
 # The exit code that a shell gives a program that Ctrl-C ended.
-LEFT = 130
+INTERRUPTED_EXIT_CODE = 130
 
 app = typer.Typer()
 
@@ -43,15 +43,15 @@ def setup(
     from rich.console import Console
 
     from daemon.commands.setup.dialogue import SetupDialogue
-    from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
+    from daemon.commands.setup.kept import SetupAnswers, answers_path, keep_answers, load_answers
     from daemon.commands.setup.screen import SetupScreen
-    from daemon.commands.setup.steps import A_BENCH, RIG, ROLE
+    from daemon.commands.setup.steps import BENCH_RIG, RIG, ROLE
     from daemon.config.template import FILE_NAME
 
     file = file.absolute()
     if file.is_dir():
         raise UserError(f"{file} is a folder: name the file to write, such as {file / FILE_NAME}")
-    place = place_of_answers(file)
+    place = answers_path(file)
     kept = SetupAnswers() if anew else load_answers(place)
     if role is not None and kept.answers.get(ROLE, role.value) != role.value:
         raise UserError(
@@ -59,23 +59,23 @@ def setup(
             " --role out to go on with them, or begin with --anew"
         )
     dialogue = SetupDialogue(kept, file)
-    screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == A_BENCH)
+    screen = SetupScreen(Console(highlight=False), simulated=kept.answers.get(RIG) == BENCH_RIG)
     _greet(screen, file, place, len(kept.answers))
     chosen = unit_role(file) if role is None else role.value
     if chosen is not None and ROLE not in kept.answers:
-        dialogue.take(chosen)
-    keep_answers(place, dialogue.kept)
+        dialogue.take_answer(chosen)
+    keep_answers(place, dialogue.saved_answers)
     try:
-        while (step := dialogue.step()) is not None:
-            screen.simulated = dialogue.kept.answers.get(RIG) == A_BENCH
-            screen.head(dialogue, step)
+        while (step := dialogue.current_step()) is not None:
+            screen.simulated = dialogue.saved_answers.answers.get(RIG) == BENCH_RIG
+            screen.show_chapter(dialogue, step)
             _ask_step(dialogue, screen, step)
-            keep_answers(place, dialogue.kept)
+            keep_answers(place, dialogue.saved_answers)
         _finish(dialogue, screen, file)
     except (KeyboardInterrupt, EOFError):
         screen.say("")
         screen.say(f"Left. Your answers are in {place}; go on with: heliocube setup {file}")
-        raise typer.Exit(LEFT) from None
+        raise typer.Exit(INTERRUPTED_EXIT_CODE) from None
     place.unlink(missing_ok=True)
 
 
@@ -83,7 +83,7 @@ def _greet(screen: "SetupScreen", file: Path, place: Path, answered: int) -> Non
     screen.say(f"Setting up {file}.", "bold")
     screen.say("Enter takes the answer in brackets, 'back' takes the latest answer back, Ctrl-C leaves.")
     if answered:
-        screen.say(f"{counted(answered, 'answer is', 'answers are')} there from before, in {place}.")
+        screen.say(f"{pluralise(answered, 'answer is', 'answers are')} there from before, in {place}.")
 
 
 def _ask_step(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> None:
@@ -96,7 +96,7 @@ def _ask_step(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep
         screen.say(f"  {sun_sentence(dialogue.settings(), _now_s())}")
     if step.name.endswith((".port", ".line", ".resource")) and step.kind == "key":
         _name_ports(screen)
-    if step.name == MOVE and screen.first_time(step):
+    if step.name == MOVE and screen.is_new_step(step):
         _before_the_move(dialogue, screen)
     said = screen.prompt("type", "move, or skip") if step.name == MOVE else screen.ask(dialogue, step)
     try:
@@ -122,11 +122,11 @@ def _take(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep", s
         if not dialogue.back():
             raise UserError("this is the first question")
     elif step.kind != "action":
-        dialogue.take(said)
+        dialogue.take_answer(said)
     elif word == "skip":
-        dialogue.settle(SKIPPED)
+        dialogue.set_answer(SKIPPED)
     elif word == go:
-        dialogue.settle(_act(dialogue, screen, step))
+        dialogue.set_answer(_act(dialogue, screen, step))
     else:
         raise UserError(f"say {go or 'Enter'}, skip or back")
 
@@ -154,17 +154,17 @@ def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
 
 def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | str:
     from daemon.base.clock import SystemClock
-    from daemon.commands.kept import with_records
+    from daemon.commands.kept import with_records_folder
     from daemon.commands.setup.any_key import stop_keys
     from daemon.commands.setup.first_move import Bounds, first_move
     from daemon.commands.setup.looks import require_movable
-    from daemon.rigs.first_look import refuse_noted
+    from daemon.rigs.first_look import check_noted_obstacles
     from daemon.rigs.real import build_positioner
 
     settings, clock = dialogue.settings(), SystemClock()
     require_movable(settings)
     # A service of this file may exist already, with reasons of its own not to move the rig.
-    look = partial(refuse_noted, with_records(settings, dialogue.file, os.environ))
+    look = partial(check_noted_obstacles, with_records_folder(settings, dialogue.file, os.environ))
     bounds = Bounds(
         settings.limits.limits(), settings.motion.tolerance_deg, settings.instruments.positioner.slowest_deg_per_s
     )
@@ -176,10 +176,10 @@ def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | st
         try:
             speed = _run(first_move(build_positioner(settings, clock), bounds, clock, say, keys.pressed, look))
         except UserError as error:
-            if not keys.left:
+            if not keys.exit_requested:
                 raise
             say(str(error))
-        if keys.left:
+        if keys.exit_requested:
             raise KeyboardInterrupt
     return round(speed, 3) or "done"
 
@@ -209,10 +209,10 @@ def _run(work: Coroutine[Any, Any, Any]) -> Any:
 
 def _finish(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> None:
     from daemon.commands.file_check import check_file
-    from daemon.commands.setup.finish import finish
+    from daemon.commands.setup.finish import write_setup_files
     from daemon.commands.setup.steps import LATER, SKIPPED
 
-    written = finish(dialogue, file)
+    written = write_setup_files(dialogue, file)
     screen.say("")
     screen.say("Written:", "bold")
     for line in written:
@@ -221,7 +221,11 @@ def _finish(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path) -> Non
         check_file(file, RoleChoice(dialogue.role()))
     except UserError as error:
         screen.refuse(str(error))
-    open_ends = [step.open_end for step in dialogue.steps() if dialogue.kept.answers[step.name] in (SKIPPED, LATER)]
+    open_ends = [
+        step.remaining_task
+        for step in dialogue.steps()
+        if dialogue.saved_answers.answers[step.name] in (SKIPPED, LATER)
+    ]
     if open_ends:
         screen.say("Not done yet:", "bold")
         for sentence in open_ends:
@@ -238,7 +242,7 @@ def _say_next_steps(dialogue: "SetupDialogue", screen: "SetupScreen", file: Path
     screen.say("Next:", "bold")
     if role != "both":
         path = file.parent / dialogue.key_file()
-        verb = "carry it to" if dialogue.kept.answers.get(KEY) == NEW_KEY else "compare it on"
+        verb = "carry it to" if dialogue.saved_answers.answers.get(KEY) == NEW_KEY else "compare it on"
         screen.say(f"  the key {path} has to be the same on both machines: {verb} the other one, then sha256sum both")
     if role != "cube":
         screen.say("  widen [limits] step by step: docs/install.md, section 7")

@@ -9,16 +9,16 @@ from daemon.base.addresses import CUBE_LISTEN
 from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
 from daemon.commands import options
-from daemon.commands.setup.kept import Answer, SetupAnswers, place_of_answers
-from daemon.commands.setup.steps import A_BENCH, BENCH, KEY, RIG, ROLE, Known, SetupStep, plan
+from daemon.commands.setup.kept import Answer, SetupAnswers, answers_path
+from daemon.commands.setup.steps import BENCH, BENCH_RIG, KEY, RIG, ROLE, SetupContext, SetupStep, plan
 from daemon.config import keys
 from daemon.config.file import ConfigError, load_settings, override
-from daemon.config.migrate import RENAMED
+from daemon.config.migrate import RENAMED_KEYS
 from daemon.config.section import read_tables
 from daemon.config.settings import Settings
 from daemon.config.template import FILE_NAME
 
-KEY_NAME, TOKEN_NAME = "bridge.key", "api.token"
+KEY_FILE_NAME, TOKEN_FILE_NAME = "bridge.key", "api.token"
 NEW_KEY = "new"
 _NONE = ("none", "-")
 _YES = {"y": "yes", "n": "no"}
@@ -56,45 +56,45 @@ class SetupDialogue:
             self._read_bench()
         except UserError as error:
             raise UserError(
-                f"the answers from before in {place_of_answers(file)} are for a bench, and {error}; start the bench"
+                f"the answers from before in {answers_path(file)} are for a bench, and {error}; start the bench"
                 " again, or begin with --anew"
             ) from None
 
     @property
-    def kept(self) -> SetupAnswers:
+    def saved_answers(self) -> SetupAnswers:
         """The answers so far."""
         return self._kept
 
     @property
-    def known(self) -> Known:
+    def context(self) -> SetupContext:
         """The answers and values that decide the steps."""
-        bench = self._kept.answers.get(RIG) == A_BENCH
+        bench = self._kept.answers.get(RIG) == BENCH_RIG
         # A file from practice on a bench has the bench's clock and addresses, which a real rig must not take.
         own = self._own if self._own.get("instruments.bench", False) is bench else {}
-        return Known(self._kept.answers, self._bench_values or own)
+        return SetupContext(self._kept.answers, self._bench_values or own)
 
     def steps(self) -> list[SetupStep]:
         """Return every step that the answers lead to, answered ones included."""
-        return plan(self.known)
+        return plan(self.context)
 
-    def step(self) -> SetupStep | None:
+    def current_step(self) -> SetupStep | None:
         """Return the first step without an answer; None if all are answered."""
         return next((step for step in self.steps() if step.name not in self._kept.answers), None)
 
-    def place(self) -> tuple[int, int]:
+    def chapter_position(self) -> tuple[int, int]:
         """Return the number of the present chapter, from 1, and how many there are."""
         chapters = list(dict.fromkeys(step.chapter for step in self.steps()))
-        step = self.step()
+        step = self.current_step()
         return (len(chapters) if step is None else chapters.index(step.chapter) + 1), len(chapters)
 
-    def offered(self) -> Answer:
+    def default_answer(self) -> Answer:
         """Return what Enter takes now; None if an answer has to be typed."""
-        step = self.step()
+        step = self.current_step()
         if step is None or step.kind == "action":
             return None
         return self._kept.offered.get(step.name, step.default)
 
-    def take(self, text: str) -> None:
+    def take_answer(self, text: str) -> None:
         """Take a person's answer to the present step; an empty answer takes what is offered.
 
         Raises
@@ -102,7 +102,7 @@ class SetupDialogue:
         UserError
             The answer does not fit: one sentence says what would.
         """
-        step = self.step()
+        step = self.current_step()
         if step is None:
             return
         said = text.strip()
@@ -111,18 +111,18 @@ class SetupDialogue:
                 f"{ascii(said)[:60]} has a key that is no letter, such as an arrow, or a letter that is not UTF-8: type"
                 " it again without that"
             )
-        value = self.offered() if not said else _parse_answer(step, said, self._key(step))
+        value = self.default_answer() if not said else _parse_answer(step, said, self._key(step))
         if value is None and not step.optional:
             raise UserError(f"this has no default: {self.expected()}")
-        self.settle(value)
+        self.set_answer(value)
 
-    def settle(self, value: Answer) -> None:
+    def set_answer(self, value: Answer) -> None:
         """Take the value of the present step, or the result of an action; raises `UserError` if it does not fit."""
-        step = self.step()
+        step = self.current_step()
         if step is None:
             return
         if step.kind == "confirm" and value == "no":
-            raise UserError(step.refused)
+            raise UserError(step.refusal)
         answers = {**self._kept.answers, step.name: value}
         changed = {"answers": answers}
         if step.name == RIG and value != self._kept.offered.get(RIG):
@@ -155,7 +155,7 @@ class SetupDialogue:
 
     def expected(self) -> str:
         """Return in words what the present step takes."""
-        step = self.step()
+        step = self.current_step()
         if step is None:
             return ""
         if step.choices:
@@ -166,14 +166,14 @@ class SetupDialogue:
 
     def values(self) -> dict[str, Any]:
         """Return what the configuration will say, by path."""
-        known = self.known
-        paths = keys.keys(known.chosen())
-        found = {path: value for path, value in known.basis.items() if path in paths}
+        known = self.context
+        paths = keys.keys(known.chosen_drivers())
+        found = {path: value for path, value in known.file_values.items() if path in paths}
         found |= {name: value for name, value in known.answers.items() if name in paths}
         found["instruments.kind"] = "real"
-        found["instruments.bench"] = known.answers.get(RIG) == A_BENCH
+        found["instruments.bench"] = known.answers.get(RIG) == BENCH_RIG
         found["bridge.key_file"] = self.key_file()
-        found.setdefault("api.token_file", TOKEN_NAME)
+        found.setdefault("api.token_file", TOKEN_FILE_NAME)
         if self.role() == "cube":
             # Another port than the tracker's: both services may run on one machine.
             found.setdefault("api.listen", CUBE_LISTEN)
@@ -182,7 +182,7 @@ class SetupDialogue:
     def key_file(self) -> str:
         """Return the key's file as the configuration will name it."""
         chosen = self._kept.answers.get(KEY)
-        known = self.known.basis.get("bridge.key_file") or KEY_NAME
+        known = self.context.file_values.get("bridge.key_file") or KEY_FILE_NAME
         return str(known if chosen in (None, NEW_KEY) else chosen)
 
     def settings(self) -> Settings:
@@ -196,11 +196,11 @@ class SetupDialogue:
         return str(self._kept.answers.get(ROLE, "both"))
 
     def _key(self, step: SetupStep) -> keys.Key | None:
-        return keys.keys(self.known.chosen()).get(step.name) if step.kind == "key" else None
+        return keys.keys(self.context.chosen_drivers()).get(step.name) if step.kind == "key" else None
 
     def _read_bench(self) -> None:
         folder = self._kept.answers.get(BENCH)
-        if self._kept.answers.get(RIG) != A_BENCH:
+        if self._kept.answers.get(RIG) != BENCH_RIG:
             return
         if self._own and not self._own.get("instruments.bench", False):
             raise UserError(
@@ -221,12 +221,12 @@ class SetupDialogue:
             return str(error)
         problem = error.problems[0]
         key = problem.partition(" = ")[0]
-        if key not in keys.keys(self.known.chosen()) or key in [step.name for step in self.steps()]:
+        if key not in keys.keys(self.context.chosen_drivers()) or key in [step.name for step in self.steps()]:
             return problem
         return f"{problem}; {key} is not asked for here: give an answer that fits it, and change both in the file later"
 
     def _check_role(self, role: str) -> None:
-        if self.file.parent == options.INSTALLED and options.unit_role(self.file) != role:
+        if self.file.parent == options.CONFIG_FOLDER and options.unit_role(self.file) != role:
             raise UserError(
                 f"no unit starts {self.file} as {role}: cube and tracker are two units, on one machine too; set up"
                 " each, 'heliocube setup /etc/heliocube/cube.toml' and 'heliocube setup /etc/heliocube/tracker.toml'"
@@ -244,16 +244,16 @@ def _parse_answer(step: SetupStep, said: str, key: keys.Key | None) -> Answer:
     """Return the value that the typed words mean; raises `UserError`."""
     if step.optional and said.lower() in _NONE:
         return None
-    if step.choices and (key is None or key.takes == {"string"}):
+    if step.choices and (key is None or key.json_types == {"string"}):
         return _match_choice(step, said)
     if key is None:
         return said
-    if key.takes & {"number", "integer"}:
-        number = keys.number_with_unit(said, key)
+    if key.json_types & {"number", "integer"}:
+        number = keys.parse_quantity(said, key)
         if number is None:
-            raise UserError(f"{keys.shown(said)} is not {key.expected}")
-        return int(number) if key.takes == {"integer"} and number.is_integer() else number
-    if key.takes == {"array"}:
+            raise UserError(f"{keys.quoted(said)} is not {key.expected}")
+        return int(number) if key.json_types == {"integer"} and number.is_integer() else number
+    if key.json_types == {"array"}:
         items = [item for item in re.split(r"[\s,]+", said) if item]
         return [int(item) for item in items] if all(item.isdecimal() for item in items) else items
     return said
@@ -264,7 +264,7 @@ def _expand_home(said: str) -> Path:
     try:
         return Path(said).expanduser()
     except RuntimeError:
-        raise UserError(f"{keys.shown(said)}: there is no such user; write the whole path") from None
+        raise UserError(f"{keys.quoted(said)}: there is no such user; write the whole path") from None
 
 
 def _match_choice(step: SetupStep, said: str) -> str:
@@ -272,7 +272,7 @@ def _match_choice(step: SetupStep, said: str) -> str:
     word = _YES.get(said.lower(), said.lower()) if step.kind == "confirm" else said.lower()
     found = [name for name in step.choices if name == word] or [name for name in step.choices if name.startswith(word)]
     if len(found) != 1:
-        raise UserError(f"{keys.shown(said)} is not among the answers: say {_join_with_or(step.choices)}")
+        raise UserError(f"{keys.quoted(said)} is not among the answers: say {_join_with_or(step.choices)}")
     return found[0]
 
 
@@ -291,8 +291,8 @@ def _values_of(file: Path) -> dict[str, Any]:
     if not file.exists():
         raise UserError(f"there is no {file}: is the bench running, and is that its folder?")
     found = dict(_flat(read_tables(file), ""))
-    for former in RENAMED.keys() & found.keys():
-        found[f"{former.rpartition('.')[0]}.{RENAMED[former]}"] = found.pop(former)
+    for former in RENAMED_KEYS.keys() & found.keys():
+        found[f"{former.rpartition('.')[0]}.{RENAMED_KEYS[former]}"] = found.pop(former)
     return found
 
 

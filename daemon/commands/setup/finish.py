@@ -13,11 +13,11 @@ from daemon.base.files import replace_file, rewrite_file
 from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.options import unit_role
 from daemon.commands.setup.dialogue import SetupDialogue
-from daemon.config.template import example
-from daemon.store.place import OF_THE_UNITS, RECORDS_NAME
+from daemon.config.template import render_config
+from daemon.store.place import RECORDS_NAME, SYSTEMD_STATE_FOLDER
 
 
-def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
+def write_setup_files(dialogue: SetupDialogue, file: Path) -> list[str]:
     """Write the configuration, and its key and token if they are not there yet; return a line for each file.
 
     Raises
@@ -28,9 +28,9 @@ def finish(dialogue: SetupDialogue, file: Path) -> list[str]:
     values = dialogue.values()
     role = cast("Literal['both', 'cube', 'tracker']", dialogue.role())
     # A unit may write only to its own folder.
-    place = str(OF_THE_UNITS / role) if unit_role(file) == role else RECORDS_NAME
+    place = str(SYSTEMD_STATE_FOLDER / role) if unit_role(file) == role else RECORDS_NAME
     values["store.directory"] = values.get("store.directory") or place
-    text = example(role, values, dialogue.known.chosen())
+    text = render_config(role, values, dialogue.context.chosen_drivers())
     done = []
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from daemon.base.clock import Clock
-from daemon.rigs.first_look import watched
+from daemon.rigs.first_look import watch_telemetry
 from drivers.errors import DeviceError, RefusedError
 from drivers.interfaces import AxisName, Positioner, Telemetry
 from solar.frames import Limits
@@ -108,7 +108,7 @@ class Leg:
         return None
 
 
-def ready(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | None:
+def reason_not_to_move(seen: Telemetry, conflicts: tuple[str, ...], limits: Limits) -> str | None:
     """Return a sentence on why nothing may be moved from here, or None."""
     if conflicts:
         return f"it contradicts the configuration, so no move is made: {'; '.join(conflicts)}"
@@ -158,8 +158,8 @@ async def first_move(
         identity = await positioner.open()
         await positioner.halt()
         await positioner.disable_autonomy()
-        start = await watched(positioner, clock)
-        why_not = ready(start, identity.setup_conflicts, bounds.limits)
+        start = await watch_telemetry(positioner, clock)
+        why_not = reason_not_to_move(start, identity.setup_conflicts, bounds.limits)
         if why_not is not None:
             raise RefusedError("positioner", why_not)
         look(start)
@@ -178,7 +178,7 @@ async def _legs(
         for target_deg in (_step_target_deg(axis, here_deg, STEP_DEG, bounds.limits), here_deg):
             leg = await _from_here(positioner, axis, target_deg, bounds, pressed)
             say(f"{axis.upper()} from {leg.from_deg:z.1f} to {leg.to_deg:z.1f} deg, {leg.direction}: any key stops it")
-            speeds.append(await follow(positioner, leg, bounds, clock, pressed))
+            speeds.append(await run_leg(positioner, leg, bounds, clock, pressed))
             await _halt_if_pressed(positioner, pressed)
             say(f"  arrived, at {speeds[-1]:.2f} deg/s")
     leg = await _from_here(
@@ -186,7 +186,7 @@ async def _legs(
     )
     begins = await positioner.read_telemetry()
     say(f"now the stop: A goes to {leg.to_deg:z.1f} deg. PRESS ANY KEY on the way, when you see it move")
-    await follow(positioner, leg, bounds, clock, pressed)
+    await run_leg(positioner, leg, bounds, clock, pressed)
     if not pressed():
         raise FirstMoveError("arrived before a key was pressed, so the stop is not proven")
     stands = await positioner.read_telemetry()
@@ -223,7 +223,7 @@ def _step_target_deg(axis: AxisName, here_deg: float, step_deg: float, limits: L
     return here_deg + max(ways, key=lambda way: round(abs(way), 3))
 
 
-async def follow(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clock, pressed: Pressed) -> float:
+async def run_leg(positioner: Positioner, leg: Leg, bounds: Bounds, clock: Clock, pressed: Pressed) -> float:
     """Make one leg until it has arrived or a key is pressed, and return its speed [deg/s]; on any other end, halt.
 
     Raises

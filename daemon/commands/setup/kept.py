@@ -30,7 +30,7 @@ class SetupAnswers(BaseModel):
     offered: dict[str, Answer] = {}
 
 
-def place_of_answers(file: Path) -> Path:
+def answers_path(file: Path) -> Path:
     """Return where the answers for a configuration are kept: ``tracker.setup.json`` for ``tracker.toml``."""
     return file.with_name(f"{file.stem}.setup.json")
 

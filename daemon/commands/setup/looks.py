@@ -10,7 +10,7 @@ from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
 from daemon.base.records import FACES
 from daemon.config.settings import Settings
-from daemon.cube.calibration import calibrated
+from daemon.cube.calibration import calibrated_irradiance
 from daemon.rigs.probe_load import probe_load
 from daemon.rigs.probe_positioner import probe_positioner
 from daemon.rigs.real import build_cube, build_positioner
@@ -25,7 +25,7 @@ _STABLE_NAMES = ("heliocube-*", "serial/by-id/*")
 _DIRECTIONS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 
 
-def time_of(settings: Settings, now_s: float) -> float:
+def rig_utc_s(settings: Settings, now_s: float) -> float:
     """Return the time of the rig's clock [s since 1970]; a bench has a clock of its own."""
     if settings.bench_clock is None:
         return now_s
@@ -35,7 +35,7 @@ def time_of(settings: Settings, now_s: float) -> float:
 
 def sun_sentence(settings: Settings, now_s: float) -> str:
     """Return where the sun stands at the site now, and what time the rig's clock shows."""
-    site, utc_s = settings.site, time_of(settings, now_s)
+    site, utc_s = settings.site, rig_utc_s(settings, now_s)
     sun = sun_position(utc_s, site.latitude_deg, site.longitude_deg, site.altitude_m)
     where = _DIRECTIONS[round(sun.azimuth_deg / 45.0) % 8]
     height = (
@@ -77,7 +77,7 @@ async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
             say(f"  {name:<7} {sample.flaw}")
         elif reading.unit == "V":
             voltage_mv = sample.value * 1e3
-            say(f"  {name:<7} {voltage_mv:+z9.3f} mV  {calibrated(voltage_mv, face):z8.1f} W/m2")
+            say(f"  {name:<7} {voltage_mv:+z9.3f} mV  {calibrated_irradiance(voltage_mv, face):z8.1f} W/m2")
         else:
             say(f"  {name:<7} {sample.value:z8.1f} W/m2")
     for note in (*reading.notes, *(() if reading.proven else ("the self-test of switch and meter has FAILED",))):

@@ -40,25 +40,25 @@ class SetupScreen:
         """Say why an answer is not taken, or what went wrong."""
         self.say(f"  ! {sentence}", "bold red")
 
-    def head(self, dialogue: SetupDialogue, step: SetupStep) -> None:
+    def show_chapter(self, dialogue: SetupDialogue, step: SetupStep) -> None:
         """Write the name of the step's chapter, if the chapter begins here."""
         if step.chapter == self._chapter:
             return
         self._chapter = step.chapter
-        number, of = dialogue.place()
+        number, of = dialogue.chapter_position()
         mark = "  SIMULATED" if self.simulated else ""
         self.say("")
         self.say(f"{number}/{of} {step.chapter}{mark}", "bold")
 
-    def first_time(self, step: SetupStep) -> bool:
+    def is_new_step(self, step: SetupStep) -> bool:
         """Tell whether another step was asked last, and note this one."""
         last, self._last_step_name = self._last_step_name, step.name
         return last != step.name
 
     def ask(self, dialogue: SetupDialogue, step: SetupStep) -> str:
         """Ask a step and return what was typed; `EOFError` or `KeyboardInterrupt` if there is no answer."""
-        offered = dialogue.offered()
-        if self.first_time(step):
+        offered = dialogue.default_answer()
+        if self.is_new_step(step):
             self.say(f"  {step.question}")
             if step.kind != "action" and (step.choices or offered is None):
                 self.say(f"  {dialogue.expected()[0].upper()}{dialogue.expected()[1:]}.", "dim")

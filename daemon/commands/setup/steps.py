@@ -9,14 +9,14 @@ from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
 from daemon.commands.setup.kept import Answer
 from daemon.config import keys
-from daemon.config.plugged import CUBE, DRIVER, LOAD, MULTIPLEXED, POSITIONER, PYRANOMETERS, Plugged
+from daemon.config.plugged import CUBE, DRIVER, LOAD, MULTIPLEXED, POSITIONER, PYRANOMETERS, PluginSection
 
 ROLE, RIG, BENCH, KEY = "role", "rig", "bench", "key"
 SUN, FACES_FIT = "sun", "faces fit"
 LOOK_CUBE, LOOK_POSITIONER, LOOK_LOAD = "look at the cube", "look at the positioner", "look at the load"
 MOVE, WAY, UNPLUGGED, SUPPLY = "first move", "way of the first move", "unplugged", "supply"
-SLOWEST = "instruments.positioner.slowest_deg_per_s"
-A_BENCH = "bench"
+SLOWEST_SPEED_KEY = "instruments.positioner.slowest_deg_per_s"
+BENCH_RIG = "bench"
 SKIPPED = "skipped"
 LATER = "later"
 
@@ -60,9 +60,9 @@ class SetupStep:
         What Enter takes; None if an answer has to be typed.
     optional
         Whether ``none`` is an answer.
-    refused
+    refusal
         The sentence that answers the word ``no``.
-    open_end
+    remaining_task
         What is left to do if it was skipped or put off; ``{file}`` stands for the configuration.
     """
 
@@ -73,32 +73,32 @@ class SetupStep:
     choices: tuple[str, ...] = ()
     default: Answer = None
     optional: bool = False
-    refused: str = ""
-    open_end: str = ""
+    refusal: str = ""
+    remaining_task: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class SetupContext:
     """What the steps depend on: the answers, and by path the values of the file that is taken as the basis."""
 
     answers: Mapping[str, Answer]
-    basis: Mapping[str, Any]
+    file_values: Mapping[str, Any]
 
     def role(self) -> str:
         """Return the role, ``both`` until it is answered."""
         return str(self.answers.get(ROLE, "both"))
 
-    def driver(self, plugged: Plugged) -> str:
+    def driver(self, plugged: PluginSection) -> str:
         """Return the driver of a section."""
         path = f"{plugged.path}.{DRIVER}"
-        return str(self.answers.get(path, self.basis.get(path, plugged.default)))
+        return str(self.answers.get(path, self.file_values.get(path, plugged.default)))
 
-    def chosen(self) -> keys.Chosen:
+    def chosen_drivers(self) -> keys.Drivers:
         """Return the sections of drivers, each with the name of the chosen driver."""
         return tuple((each.path, self.driver(each)) for each in (CUBE, POSITIONER, LOAD))
 
 
-def plan(known: Known) -> list[SetupStep]:
+def plan(known: SetupContext) -> list[SetupStep]:
     """Return every step that these answers lead to, answered ones included."""
     return [
         *_machine(known),
@@ -111,7 +111,7 @@ def plan(known: Known) -> list[SetupStep]:
     ]
 
 
-def _machine(known: Known) -> Iterator[SetupStep]:
+def _machine(known: SetupContext) -> Iterator[SetupStep]:
     chapter = "The machine"
     yield SetupStep(
         name=ROLE,
@@ -126,10 +126,10 @@ def _machine(known: Known) -> Iterator[SetupStep]:
         chapter=chapter,
         kind="choice",
         question="Are the instruments real, or those of a running 'heliocube bench' (SIMULATED)?",
-        choices=("real", A_BENCH),
+        choices=("real", BENCH_RIG),
         default="real",
     )
-    if known.answers.get(RIG) == A_BENCH:
+    if known.answers.get(RIG) == BENCH_RIG:
         yield SetupStep(
             name=BENCH,
             chapter=chapter,
@@ -138,7 +138,7 @@ def _machine(known: Known) -> Iterator[SetupStep]:
         )
 
 
-def _site(known: Known) -> Iterator[SetupStep]:
+def _site(known: SetupContext) -> Iterator[SetupStep]:
     chapter = "The site"
     for name in ("name", "latitude_deg", "longitude_deg", "altitude_m"):
         # The paper's site is no default for a rig: whoever took it by Enter would have the sun at a wrong place.
@@ -150,11 +150,11 @@ def _site(known: Known) -> Iterator[SetupStep]:
         question="Does that fit the clock on the wall and the sky?",
         choices=("yes", "no"),
         default="yes",
-        refused="then a coordinate or the clock is wrong: put the clock right, or say 'back' to correct the site",
+        refusal="then a coordinate or the clock is wrong: put the clock right, or say 'back' to correct the site",
     )
 
 
-def _cube(known: Known) -> Iterator[SetupStep]:
+def _cube(known: SetupContext) -> Iterator[SetupStep]:
     chapter = "The cube"
     if known.role() == "tracker":
         yield _key(known, "cube.scan_every_s", chapter)
@@ -175,7 +175,7 @@ def _cube(known: Known) -> Iterator[SetupStep]:
         chapter=chapter,
         kind="action",
         question="Read the four faces now: this moves nothing.",
-        open_end="read the cube: heliocube probe, with --config {file}: docs/hardware.md",
+        remaining_task="read the cube: heliocube probe, with --config {file}: docs/hardware.md",
     )
     if known.answers.get(LOOK_CUBE) not in (None, SKIPPED):
         yield SetupStep(
@@ -185,13 +185,13 @@ def _cube(known: Known) -> Iterator[SetupStep]:
             question="Do they look like the sky? Shade one face: its number must fall, and no other.",
             choices=("yes", LATER, "no"),
             default=LATER,
-            open_end="shade one face after the other and see its number fall, and no other",
-            refused="then an input or a wire belongs to another face: say 'back' to read the faces again or to correct"
+            remaining_task="shade one face after the other and see its number fall, and no other",
+            refusal="then an input or a wire belongs to another face: say 'back' to read the faces again or to correct"
             " the inputs",
         )
 
 
-def _positioner(known: Known) -> Iterator[SetupStep]:
+def _positioner(known: SetupContext) -> Iterator[SetupStep]:
     if known.role() == "cube":
         return
     chapter = "The positioner"
@@ -202,11 +202,11 @@ def _positioner(known: Known) -> Iterator[SetupStep]:
         chapter=chapter,
         kind="action",
         question="Listen to it now: nothing is sent that could move an axis.",
-        open_end="listen to the positioner: heliocube probe positioner --config {file}",
+        remaining_task="listen to the positioner: heliocube probe positioner --config {file}",
     )
 
 
-def _load(known: Known) -> Iterator[SetupStep]:
+def _load(known: SetupContext) -> Iterator[SetupStep]:
     if known.role() == "cube":
         return
     chapter = "The electronic load"
@@ -219,15 +219,15 @@ def _load(known: Known) -> Iterator[SetupStep]:
             chapter=chapter,
             kind="action",
             question="Read its identity now: its input stays as it is.",
-            open_end="look at the electronic load: heliocube probe load --config {file}",
+            remaining_task="look at the electronic load: heliocube probe load --config {file}",
         )
 
 
-def _bridge(known: Known) -> Iterator[SetupStep]:
+def _bridge(known: SetupContext) -> Iterator[SetupStep]:
     chapter = "The way from cube to tracker"
     if known.role() == "cube":
         send_to = _key(known, "bridge.send_to", chapter)
-        grouped = known.basis.get("bridge.multicast_group") is not None
+        grouped = known.file_values.get("bridge.multicast_group") is not None
         yield send_to if grouped or not _is_wrongly_local(known, send_to) else replace(send_to, default=None)
     if known.role() == "tracker":
         listen = _key(known, "bridge.listen", chapter, default="0.0.0.0:20571")
@@ -239,22 +239,22 @@ def _bridge(known: Known) -> Iterator[SetupStep]:
             chapter=chapter,
             kind="text",
             question="Which file has the key that both machines share? 'new' makes one.",
-            default=_text(known.basis.get("bridge.key_file")) or ("new" if known.role() == "cube" else None),
+            default=_text(known.file_values.get("bridge.key_file")) or ("new" if known.role() == "cube" else None),
         )
 
 
-def _is_wrongly_local(known: Known, step: SetupStep) -> bool:
+def _is_wrongly_local(known: SetupContext, step: SetupStep) -> bool:
     """Return whether the offered address would keep scans on this machine, though cube and tracker are on two machines.
 
     An installation, or an earlier setup, may have left such an address. A bench is on one machine: there it is right.
     """
-    if known.answers.get(RIG) == A_BENCH or known.basis.get("bridge.transport") == "mqtt":
+    if known.answers.get(RIG) == BENCH_RIG or known.file_values.get("bridge.transport") == "mqtt":
         return False
     addresses = step.default if isinstance(step.default, list) else [step.default]
     return all(ip_address(parse_address(str(text)).host).is_loopback for text in addresses)
 
 
-def _move(known: Known) -> Iterator[SetupStep]:
+def _move(known: SetupContext) -> Iterator[SetupStep]:
     if known.role() == "cube":
         return
     chapter = "Limits and wind"
@@ -269,7 +269,7 @@ def _move(known: Known) -> Iterator[SetupStep]:
         chapter=chapter,
         kind="action",
         question="",
-        open_end="THE FIRST MOVE, with a hand on the stop: docs/install.md, section 7",
+        remaining_task="THE FIRST MOVE, with a hand on the stop: docs/install.md, section 7",
     )
     done = known.answers.get(MOVE)
     if done is None or done == SKIPPED:
@@ -280,12 +280,12 @@ def _move(known: Known) -> Iterator[SetupStep]:
         kind="confirm",
         question="Did each of these moves go in the direction named above, as seen by the person at the mechanics?",
         choices=("yes", "no"),
-        refused="then the axes are swapped or reversed: leave with Ctrl-C, switch the motors' supply off, and see"
+        refusal="then the axes are swapped or reversed: leave with Ctrl-C, switch the motors' supply off, and see"
         " docs/hardware.md; 'back' makes the move once more",
     )
     if isinstance(done, float):
         # Half of the measured speed, as docs/hardware.md says.
-        half = _key(known, SLOWEST, chapter, default=float(f"{done / 2:.2g}"))
+        half = _key(known, SLOWEST_SPEED_KEY, chapter, default=float(f"{done / 2:.2g}"))
         yield replace(half, question=f"{half.question} Half of the {done:.2f} deg/s just seen is right.")
     for name, question in (
         (UNPLUGGED, "with the USB plug pulled in a move, the axis goes on to its end"),
@@ -298,13 +298,15 @@ def _move(known: Known) -> Iterator[SetupStep]:
             question=f"See this once, now or later: {question}.",
             choices=("yes", LATER),
             default=LATER,
-            open_end=question,
+            remaining_task=question,
         )
 
 
-def _driver(known: Known, plugged: Plugged, chapter: str, names: tuple[str, ...] | None = None) -> SetupStep:
+def _driver(
+    known: SetupContext, plugged: PluginSection, chapter: str, names: tuple[str, ...] | None = None
+) -> SetupStep:
     path = f"{plugged.path}.{DRIVER}"
-    default = str(known.basis.get(path, plugged.default))
+    default = str(known.file_values.get(path, plugged.default))
     return SetupStep(
         name=path,
         chapter=chapter,
@@ -315,24 +317,24 @@ def _driver(known: Known, plugged: Plugged, chapter: str, names: tuple[str, ...]
     )
 
 
-def _addresses(known: Known, plugged: Plugged, chapter: str) -> Iterator[SetupStep]:
+def _addresses(known: SetupContext, plugged: PluginSection, chapter: str) -> Iterator[SetupStep]:
     """Yield the keys that say where the instrument of the chosen driver is, whichever driver that is."""
-    for key in keys.keys(known.chosen()).values():
+    for key in keys.keys(known.chosen_drivers()).values():
         if key.section == plugged.path and key.name in _ADDRESS_KEYS and not key.only_for:
             yield _key(known, key.path, chapter)
 
 
-def _key(known: Known, path: str, chapter: str, **given: Answer) -> SetupStep:
-    key = keys.keys(known.chosen())[path]
-    found = known.basis.get(path, given.get("default", key.default))
-    if path in FIRST_LIMITS or path == SLOWEST:
+def _key(known: SetupContext, path: str, chapter: str, **given: Answer) -> SetupStep:
+    key = keys.keys(known.chosen_drivers())[path]
+    found = known.file_values.get(path, given.get("default", key.default))
+    if path in FIRST_LIMITS or path == SLOWEST_SPEED_KEY:
         found = given["default"]
     return SetupStep(
         name=path,
         chapter=chapter,
         kind="key",
         question=key.description,
-        choices=tuple(key.names),
+        choices=tuple(key.enum_values),
         default=list(found) if isinstance(found, tuple) else found,
         optional=path in _OPTIONAL_KEYS,
     )

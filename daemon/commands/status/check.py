@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import Any
 
-from daemon.base.alarms.kinds import as_typed
+from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.errors import ExitCode
-from daemon.commands.status.times import in_local, moment
+from daemon.commands.status.times import local_and_utc_time, localise_times
 
 _HELD = {"stop": "STOPPED by a person", "buttons": "a button was pressed at the unit"}
 
@@ -52,7 +52,7 @@ def _explained_prefixes(state: dict[str, Any]) -> Iterator[str]:
 
 def verdict(state: dict[str, Any], health: dict[str, Any]) -> tuple[list[str], ExitCode]:
     """Return the lines of the answer, the first of which sums them up, and the exit code."""
-    found = troubles(in_local(state), in_local(health))
+    found = troubles(localise_times(state), localise_times(health))
     modes = [f"{_prefix(name, state)}{mode_words(own)}" for name, own in _trackers(state).items()]
     doing = ", ".join(modes) or "reads the cube"
     simulated = "SIMULATED, " if state["simulated"] else ""
@@ -82,13 +82,13 @@ def mode_words(own: dict[str, Any]) -> str:
 
 def _last_scan(state: dict[str, Any]) -> str:
     scan = state["scan"]
-    return "" if scan is None else f"; the last scan is of {moment(scan['time'])}"
+    return "" if scan is None else f"; the last scan is of {local_and_utc_time(scan['time'])}"
 
 
 def _state(alarm: dict[str, Any]) -> str:
     if alarm["state"] == "cleared":
-        return f"raised {moment(alarm['since'])}, over since {moment(alarm['cleared_at'])}"
-    return f"{alarm['state']}, since {moment(alarm['since'])}"
+        return f"raised {local_and_utc_time(alarm['since'])}, over since {local_and_utc_time(alarm['cleared_at'])}"
+    return f"{alarm['state']}, since {local_and_utc_time(alarm['since'])}"
 
 
 def _remedy(alarm: dict[str, Any], state: dict[str, Any]) -> str:
@@ -96,7 +96,7 @@ def _remedy(alarm: dict[str, Any], state: dict[str, Any]) -> str:
     if alarm["state"] != "cleared":
         return remedy
     whose = alarm["tracker"] if len(_trackers(state)) > 1 else None
-    return as_typed(f"see what it was, then `heliocube alarms ack {alarm['name']}`", whose)
+    return with_tracker_option(f"see what it was, then `heliocube alarms ack {alarm['name']}`", whose)
 
 
 def _trackers(state: dict[str, Any]) -> dict[str, dict[str, Any]]:

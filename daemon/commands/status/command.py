@@ -32,14 +32,14 @@ def status(
 
     from rich.console import Console
 
-    from daemon.api.client import find_unarmed
+    from daemon.api.client import find_without_token
 
     if watch and (check or as_json):
         raise UserError("--watch is for people: leave it out with --check and --json, and ask again when you need it")
-    client = find_unarmed(config, api)
+    client = find_without_token(config, api)
 
     def see() -> dict[str, Any]:
-        return client.state() if tracker is None else of_one(client.state(), tracker)
+        return client.state() if tracker is None else select_tracker(client.state(), tracker)
 
     if check:
         if tracker is not None:
@@ -68,7 +68,7 @@ def status(
     console.print(render(see()))
 
 
-def of_one(state: dict[str, Any], tracker: str) -> dict[str, Any]:
+def select_tracker(state: dict[str, Any], tracker: str) -> dict[str, Any]:
     """Return the JSON of /api/state without the other trackers; `UserError` if there is no tracker of that name."""
     trackers = state["trackers"]
     if tracker not in trackers:

@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.text import Text
 
-from daemon.commands.status.times import moment
+from daemon.commands.status.times import local_and_utc_time
 
 
 def lines_of_light(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
@@ -20,7 +20,7 @@ def _received(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
         return
     actual, chronometric = _energies(light["actual_kwh_m2"], light["chronometric_kwh_m2"])
     text = f"{100 * light['gain']:+z.1f} % over chronometric: {actual} against {chronometric}"
-    yield "received", Text(f"{text} since {moment(light['since'], time)}, a model's result from the faces")
+    yield "received", Text(f"{text} since {local_and_utc_time(light['since'], time)}, a model's result from the faces")
 
 
 def _shadow(state: dict[str, Any]) -> Iterator[tuple[str, Text]]:

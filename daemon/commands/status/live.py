@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.live import Live
 
-from daemon.commands.status.screen import line, live_screen
+from daemon.commands.status.screen import live_screen, status_line
 
 log = logging.getLogger("heliocube")
 
@@ -48,7 +48,7 @@ class LiveView:
         if not self._console.is_terminal:
             while True:
                 await asyncio.sleep(_LINE_EVERY_S * self._speed)
-                self._console.print(line(self._see()), highlight=False, markup=False, soft_wrap=True)
+                self._console.print(status_line(self._see()), highlight=False, markup=False, soft_wrap=True)
         with Live(live_screen(self._see()), console=self._console, auto_refresh=False, transient=False) as live:
             while True:
                 await asyncio.sleep(_REFRESH_S * self._speed)

@@ -4,7 +4,7 @@ from rich.console import Console
 from rich.text import Text
 
 
-class LogAbove:
+class ScreenLogStream:
     """A stream for the log that writes above the changing screen; a line of another stream would break it.
 
     Parameters

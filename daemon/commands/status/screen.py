@@ -11,11 +11,11 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from daemon.base.alarms.kinds import as_typed
-from daemon.base.words import counted
+from daemon.base.alarms.kinds import with_tracker_option
+from daemon.base.words import pluralise
 from daemon.commands.status.light import lines_of_light
-from daemon.commands.status.times import dated, in_local, moment, zone
-from daemon.commands.status.wishes import after_reasons, lines_of_wishes
+from daemon.commands.status.times import local_and_utc_time, local_date_and_time, localise_times, time_zone_text
+from daemon.commands.status.wishes import lines_of_wishes, strip_wish_reasons
 
 _MODE_STYLES = {
     "tracking": "bold green",
@@ -40,7 +40,7 @@ _FULL_BAR_W_M2 = 1200.0
 
 def render(state: dict[str, Any]) -> RenderableType:
     """Return one screen for the JSON of /api/state."""
-    state = in_local(state, state["time"])
+    state = localise_times(state, state["time"])
     return Group(_title(state), _body(state, bars=False), *_news(state, _NEWS))
 
 
@@ -53,7 +53,7 @@ class _Framed:
     """A frame with as many of the latest news as the terminal has room for: a cut would remove the newest."""
 
     def __init__(self, state: dict[str, Any]) -> None:
-        self._state = in_local(state, state["time"])
+        self._state = localise_times(state, state["time"])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
         body = _body(self._state, bars=True)
@@ -80,13 +80,13 @@ def _news(state: dict[str, Any], most: int, *, bare: bool = False) -> Iterator[R
         lines.add_column(style="dim", no_wrap=True)
         lines.add_column(style="dim")
         for item in news:
-            lines.add_row(dated(item["time"]), item["text"])
+            lines.add_row(local_date_and_time(item["time"]), item["text"])
         if not bare:
-            yield from (Text(), Text(f"What happened lately ({zone(state['time'])})", style="dim"))
+            yield from (Text(), Text(f"What happened lately ({time_zone_text(state['time'])})", style="dim"))
         yield lines
 
 
-def line(state: dict[str, Any]) -> str:
+def status_line(state: dict[str, Any]) -> str:
     """Return the line that is shown every few seconds where a screen cannot change in place."""
     parts = [f"{state['time'][:19]}Z"]
     if state["simulated"]:
@@ -138,7 +138,7 @@ def _own_name(state: dict[str, Any]) -> str:
 
 def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
     time, sun_deg = state["time"], state["sun_elevation_deg"]
-    yield "time", Text(f"{moment(time)}, sun at {_number(sun_deg, '.1f')} deg")
+    yield "time", Text(f"{local_and_utc_time(time)}, sun at {_number(sun_deg, '.1f')} deg")
     if bars and state["sky"] is not None:
         yield "sky", Text(state["sky"])
     trackers = _trackers(state)
@@ -165,7 +165,7 @@ def _rows(state: dict[str, Any], *, bars: bool) -> Iterator[tuple[str, Text]]:
         yield "calibration", _calibration(state["calibration"])
     if state["bridge"] is not None:
         counts = state["bridge"]
-        accepted = counted(counts["accepted"], "scan")
+        accepted = pluralise(counts["accepted"], "scan")
         if counts.get("down_why"):
             yield "bridge", Text(counts["down_why"], style=_BAD)
         yield "bridge", Text(f"{accepted} accepted, {counts['lost']} lost, {counts['refused']} refused")
@@ -180,7 +180,7 @@ def alarm_state(alarm: dict[str, Any], state: dict[str, Any]) -> str:
     if alarm["state"] == "cleared":
         remedy = f"acknowledge it with 'heliocube alarms ack {alarm['name']}'"
         ended = _since(alarm["cleared_at"], state["time"])
-        return f"{since}; over {ended}: {as_typed(remedy, _tracker_of_alarm(alarm, state))}"
+        return f"{since}; over {ended}: {with_tracker_option(remedy, _tracker_of_alarm(alarm, state))}"
     return f"{since}; acknowledged by {alarm['acknowledged_by']}" if alarm["state"] == "acknowledged" else since
 
 
@@ -207,8 +207,8 @@ def _mode(own: dict[str, Any], time: str, tracker: str | None = None) -> tuple[s
     # The mode begins anew at each restart and after each fault; the wish does not.
     text.append(f" {_since(wish['since'] or mode['since'], time)}")
     # Who asked, and why, has a line of its own. The rest of the mode's reason is shown here.
-    more = after_reasons(mode["why"], wish)
-    return "mode", text.append(as_typed(f"{more}; ends with 'heliocube auto'", tracker))
+    more = strip_wish_reasons(mode["why"], wish)
+    return "mode", text.append(with_tracker_option(f"{more}; ends with 'heliocube auto'", tracker))
 
 
 def _tracker_rows(own: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
@@ -345,7 +345,7 @@ def _calibration(calibration: dict[str, Any]) -> Text:
 
 
 def _store(store: dict[str, Any]) -> Text:
-    counts = f"{counted(store['written'], 'record')} written, {store['waiting']} waiting"
+    counts = f"{pluralise(store['written'], 'record')} written, {store['waiting']} waiting"
     if store["lost"]:
         counts += f", {store['lost']} lost"
     if store["down_why"]:
@@ -359,10 +359,10 @@ def _mqtt(state: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
         return
     since = _since(link["since"], now)
     if link["connected"]:
-        text = Text(f"{link['broker']} {since}, {counted(link['sent'], 'message')} sent, {link['received']} received")
+        text = Text(f"{link['broker']} {since}, {pluralise(link['sent'], 'message')} sent, {link['received']} received")
     else:
         text = Text.assemble((f"not connected {since}: {link['down_why']}", _BAD))
-        text.append(f"; {counted(link['waiting'], 'message')} waiting")
+        text.append(f"; {pluralise(link['waiting'], 'message')} waiting")
     if link["dropped"]:
         text.append(f", {link['dropped']} dropped {_since(link['dropped_since'], now)}", style=_BAD)
     yield "mqtt", text
@@ -377,7 +377,7 @@ def _mqtt(state: dict[str, Any], now: str) -> Iterator[tuple[str, Text]]:
 
 
 def _since(time: str, now: str) -> str:
-    return f"since {moment(time, now)}"
+    return f"since {local_and_utc_time(time, now)}"
 
 
 def _age(age_s: float | None) -> str:

@@ -13,7 +13,7 @@ _TO_THE_MINUTE = "%H:%M"
 _WRITTEN = re.compile(r"(\d{4}-\d\d-\d\d) (\d\d:\d\d(:\d\d)?) UTC", re.ASCII)
 
 
-def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
+def local_and_utc_time(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
     """Return an instant in local time and in UTC, with the date if it differs from that of `now`.
 
     Parameters
@@ -32,30 +32,30 @@ def moment(iso_utc: str, now: str | None = None, clock: str = _CLOCK) -> str:
     return f"{day}{local.strftime(clock)} ({utc_day}{utc.strftime(clock)} UTC)"
 
 
-def in_local(said: Any, now: str | None = None) -> Any:
-    """Return a text or the JSON of the service, with the times in its sentences written as `moment` does."""
+def localise_times(said: Any, now: str | None = None) -> Any:
+    """Return a text or the JSON of the service, the times in its sentences written as `local_and_utc_time` does."""
     if isinstance(said, str):
         return _WRITTEN.sub(lambda found: _moment_of_match(found, now), said)
     if isinstance(said, dict):
-        return {name: in_local(value, now) for name, value in said.items()}
-    return [in_local(value, now) for value in said] if isinstance(said, list) else said
+        return {name: localise_times(value, now) for name, value in said.items()}
+    return [localise_times(value, now) for value in said] if isinstance(said, list) else said
 
 
 def _moment_of_match(found: re.Match[str], now: str | None) -> str:
     day, time, seconds = found.groups()
     try:
-        return moment(f"{day}T{time}Z", now, _CLOCK if seconds else _TO_THE_MINUTE)
+        return local_and_utc_time(f"{day}T{time}Z", now, _CLOCK if seconds else _TO_THE_MINUTE)
     except ValueError:
         return found.group()
 
 
-def dated(iso_utc: str) -> str:
+def local_date_and_time(iso_utc: str) -> str:
     """Return an instant in local time alone, with its date."""
     return _utc_and_local(iso_utc)[1].strftime(f"{_DAY} {_CLOCK}")
 
 
-def zone(iso_utc: str) -> str:
-    """Return the time zone of what `dated` returns, such as ``local time, UTC+02:00``."""
+def time_zone_text(iso_utc: str) -> str:
+    """Return the time zone of what `local_date_and_time` returns, such as ``local time, UTC+02:00``."""
     offset = _utc_and_local(iso_utc)[1].strftime("%z")
     return "UTC" if offset == "+0000" else f"local time, UTC{offset[:3]}:{offset[3:]}"
 

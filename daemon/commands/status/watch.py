@@ -9,7 +9,7 @@ from rich.live import Live
 from rich.text import Text
 
 from daemon.base.errors import UserError
-from daemon.commands.status.screen import line, live_screen
+from daemon.commands.status.screen import live_screen, status_line
 
 _EVERY_S = 1.0
 _LINE_EVERY_S = 5.0
@@ -28,7 +28,7 @@ def watch(see: Callable[[], dict[str, Any]], console: Console, sleep: Callable[[
     state = see()
     if not console.is_terminal:
         while True:
-            console.print(line(state), highlight=False, soft_wrap=True, markup=False)
+            console.print(status_line(state), highlight=False, soft_wrap=True, markup=False)
             sleep(_LINE_EVERY_S)
             state, why = _read_or_keep_state(see, state)
             if why is not None:

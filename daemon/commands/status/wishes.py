@@ -5,7 +5,7 @@ from typing import Any
 
 from rich.text import Text
 
-from daemon.commands.status.times import moment
+from daemon.commands.status.times import local_and_utc_time
 
 
 def lines_of_wishes(state: dict[str, Any], time: str) -> Iterator[tuple[str, Text]]:
@@ -14,11 +14,11 @@ def lines_of_wishes(state: dict[str, Any], time: str) -> Iterator[tuple[str, Tex
         for each in [] if wish is None else _wishes_of_all(wish):
             also = "" if each is wish else "also"
             by = f" by {each['by']}" if each["by"] else ""
-            since = "" if each["since"] is None else f" since {moment(each['since'], time)}"
+            since = "" if each["since"] is None else f" since {local_and_utc_time(each['since'], time)}"
             yield name, Text(f"{also}{by}{since}: {each['why']}".strip())
 
 
-def after_reasons(why: str, wish: dict[str, Any]) -> str:
+def strip_wish_reasons(why: str, wish: dict[str, Any]) -> str:
     """Return the part of a mode's reason that follows the reasons of all who asked for it."""
     for each in _wishes_of_all(wish):
         why = why.partition(each["why"])[2]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.studies.inputs import check_data_files, instant
 
@@ -45,7 +45,7 @@ SerialOption = Annotated[
 
 
 @app.command()
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def cube(
     reference: Annotated[
         Path, typer.Argument(metavar="REFERENCE", help="CSV of the reference: time, ghi [W/m2].", show_default=False)
@@ -92,9 +92,9 @@ def cube(
     from daemon.studies.calibrate.beside import compare
     from daemon.studies.calibrate.readings import read_reference
 
-    request.check_before(out, plot, force=force)
+    request.check_output_paths(out, plot, force=force)
     serials = request.serials(serial or [])
-    made_on = request.rig(config, site)
+    made_on = request.load_cube_setup(config, site)
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     readings = request.readings(sensors, store, first, last, made_on)
@@ -109,7 +109,7 @@ def cube(
         reference_uncertainty_percent=reference_uncertainty,
     )
     simulated = readings.simulated or beside.simulated
-    lines = report.marked(report.comparison_lines(found), simulated=simulated)
+    lines = report.with_simulation_mark(report.comparison_lines(found), simulated=simulated)
     calibration = report.comparison_calibration(found, made_on.cube.name, serials, valid_days, simulated=simulated)
     if plot is not None:
         from daemon.studies.calibrate.plots import draw_comparison
@@ -117,14 +117,14 @@ def cube(
         draw_comparison(found, plot, simulated=simulated)
     write_calibration(calibration, out, lines)
     if as_json:
-        page = {"simulated": simulated} | report.comparison_page(found)
+        page = {"simulated": simulated} | report.comparison_dict(found)
         print_json(page | {"calibration": calibration, "written": out, "figure": plot})
         return
     _print(lines if plot is None else [*lines, "", f"figure in {plot}"], calibration.identifier, out)
 
 
 @app.command()
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def field(
     sensors: Annotated[
         Path | None,
@@ -182,10 +182,10 @@ def field(
     from daemon.studies.calibrate.in_field import LevelSources, calibrate_field
     from daemon.studies.calibrate.readings import read_reference
 
-    request.check_before(out, None, force=False)
+    request.check_output_paths(out, None, force=False)
     serials = request.serials(serial or [])
     known_faces = request.referenced(referenced or [])
-    made_on = request.rig(config, site)
+    made_on = request.load_cube_setup(config, site)
     first = None if start is None else instant(start, "--from")
     last = None if end is None else instant(end, "--to")
     readings = request.readings(sensors, store, first, last, made_on)
@@ -194,11 +194,11 @@ def field(
     level = LevelSources(known_faces, nearby, ghi_uncertainty)
     found = calibrate_field(readings, made_on, level, model=sky.value, water_cm=water, cosine_error=cosine_error)
     simulated = readings.simulated or (nearby is not None and nearby.simulated)
-    lines = report.marked(report.field_lines(found, made_on, sky.value), simulated=simulated)
+    lines = report.with_simulation_mark(report.field_lines(found, made_on, sky.value), simulated=simulated)
     calibration = report.field_calibration(found, made_on, sky.value, serials, valid_days, simulated=simulated)
     write_calibration(calibration, out, lines)
     if as_json:
-        page = {"simulated": simulated} | report.field_page(found, made_on)
+        page = {"simulated": simulated} | report.field_dict(found, made_on)
         print_json(page | {"calibration": calibration, "written": out})
         return
     _print(lines, calibration.identifier, out)
@@ -212,8 +212,8 @@ def _warn(*notes: str) -> None:
 def _print(lines: list[str], identifier: str, out: Path) -> None:
     for line in lines:
         say(line)
-    from daemon.studies.calibrate.report import DOUBT
+    from daemon.studies.calibrate.report import DOUBT_PREFIX
 
-    doubtful = any(line.startswith(DOUBT) for line in lines)
+    doubtful = any(line.startswith(DOUBT_PREFIX) for line in lines)
     then = "do not use it until the doubts are resolved" if doubtful else "set cube.calibration_file to use it"
     say(f"\ncalibration {identifier} written to {out}; {then}")

@@ -7,15 +7,15 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.base.process import as_ctrl_c
-from daemon.commands.answers import JsonOption, print_json, teller
+from daemon.base.process import signals_as_ctrl_c
+from daemon.commands.answers import JsonOption, message_printer, print_json
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 
 _DRAWING_OPTIONS = ("--seeds", "--from", "--hours", "--trackers", "--positioner", "--only", "--without")
 """The options of schedules that are drawn."""
 
 
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def campaign(
     context: typer.Context,
     seeds: Annotated[int, typer.Option(min=1, metavar="N", help="How many seeds.")] = 10,
@@ -74,10 +74,10 @@ def campaign(
     # This checks only the names, so that a mistake is reported before the simulator is loaded.
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule, trackers, positioner)
     from daemon.commands.progress import progress_bar
-    from daemon.studies.campaign.attack import Attack
+    from daemon.studies.campaign.attack import Campaign
     from daemon.studies.campaign.reliability import write_reliability
 
-    say, errors = teller(as_json=as_json), Console(stderr=True)
+    say, errors = message_printer(as_json=as_json), Console(stderr=True)
 
     if reliability is not None:
         with progress_bar(errors, "drilling") as progress:
@@ -87,11 +87,11 @@ def campaign(
         if as_json:
             print_json({"beyond": beyond, "written": reliability})
         raise typer.Exit(1 if beyond else 0)
-    attack = Attack(schedules, workers, say, keep, show=show)
+    attack = Campaign(schedules, workers, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
         code = attack.run(progress)
     if as_json:
-        print_json(attack.summary.page())
+        print_json(attack.summary.as_dict())
     raise typer.Exit(code)
 
 

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, checked_seed, chosen_workers
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
@@ -47,7 +47,7 @@ LawsOption = Annotated[str, typer.Option(metavar="LAW,LAW", help="Laws of T-Cube
 
 
 @app.command()
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def simulate(
     start: Annotated[str, typer.Option(metavar="UTC", help="First day or instant, such as 2022-10-12.")],
     out: Annotated[
@@ -102,8 +102,8 @@ def simulate(
     begin_s = instant(start, "--start").timestamp()
     from daemon.rigs.simulated import build_simulated_pair, build_weather
     from daemon.studies.compare.measurements import writer
-    from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
-    from daemon.studies.compare.stored import keeping
+    from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, run_side_by_side, two_trackers
+    from daemon.studies.compare.stored import open_simulation_stores
     from solar.ephemeris import DAY_S
 
     sky, warning = build_weather(settings, begin_s, begin_s + days * DAY_S, with_gaps=True)
@@ -114,9 +114,9 @@ def simulate(
         tables = None if out is None else stack.enter_context(writer(out, table_format.value, force=force))
         keep: Callable[[str, Record], None] = _drop_record
         if store is not None:
-            keep = stack.enter_context(keeping(settings, (T_CUBE, T_CHRONO), store, begin_s))
+            keep = stack.enter_context(open_simulation_stores(settings, (T_CUBE, T_CHRONO), store, begin_s))
         with progress_bar(console) as progress:
-            measured = side_by_side(
+            measured = run_side_by_side(
                 settings,
                 two_trackers(*names),
                 lambda clock: build_simulated_pair(settings, clock, sky, MODULES),
@@ -149,7 +149,7 @@ def simulate(
 
 
 @app.command()
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def fit(
     out: Annotated[Path, typer.Option(metavar="FILE", help="JSON file for the bias; figures get the same name.")],
     data: DataArgument = None,
@@ -172,7 +172,7 @@ def fit(
     from daemon.studies.compare import figures
     from daemon.studies.compare.fit import as_text, flat_pairs, write
     from daemon.studies.compare.fit import fit as fit_bias
-    from daemon.studies.stamp import stamped
+    from daemon.studies.stamp import stamp_simulated
 
     pairs, _ = _pairs(data, store, cube, chrono)
     flat = flat_pairs(
@@ -182,7 +182,7 @@ def fit(
     )
     found = fit_bias(flat)
     write(found, out)
-    figures.save(stamped(figures.bias_figure(flat, found), flat.simulated), out.parent, out.stem)
+    figures.save(stamp_simulated(figures.bias_figure(flat, found), flat.simulated), out.parent, out.stem)
     if as_json:
         agreement = {"before": found.before._asdict(), "after": found.after._asdict()}
         print_json(asdict(found) | agreement | {"written": out})
@@ -194,7 +194,7 @@ def fit(
 
 
 @app.command()
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def report(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for report.html, gains.csv and the figures.")],
     data: DataArgument = None,
@@ -265,7 +265,7 @@ def report(
 
 
 @app.command()
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def paper(
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder for paper.html, paper.txt, paper.csv and the figures.")
@@ -301,7 +301,7 @@ def paper(
     from daemon.commands.progress import progress_bar
     from daemon.config.file import load_settings
     from daemon.config.settings import Settings
-    from daemon.studies.compare.paper import as_page, as_text, find_correction, notes, run_paper, spreads, write_paper
+    from daemon.studies.compare.paper import as_dict, as_text, find_correction, notes, run_paper, spreads, write_paper
     from daemon.studies.spread.workers import check_workers
 
     settings = Settings()
@@ -317,7 +317,7 @@ def paper(
     found, paragraphs = spreads(runs, cube_law), notes(settings, weather, cube_law, seeds, done=len(runs), asked=asked)
     write_paper(runs, correction, found, paragraphs, settings.site.place(), out)
     if as_json:
-        page = {"simulated": True, "periods": [as_page(one) for one in found], "notes": paragraphs}
+        page = {"simulated": True, "periods": [as_dict(one) for one in found], "notes": paragraphs}
         print_json(page | {"page": out / "paper.html"})
     else:
         say(as_text(found))
@@ -367,13 +367,13 @@ def _pairs(data: list[Path] | None, stores: list[str] | None, cube: str, chrono:
 def _readable(stores: list[str]) -> "Iterator[list[tuple[str | None, Path]]]":
     """Yield the names and folders of stores, of which some may be copies of archives."""
     from daemon.archive.address import is_archive
-    from daemon.commands.archive.readable import readable
+    from daemon.commands.archive.readable import open_store_or_archive
     from daemon.studies.compare.stored import parse_store
 
     with ExitStack() as stack:
         # An archive's address may contain an equals sign, which does not end a name.
         named = [(None, text) if is_archive(text) else parse_store(text) for text in stores]
-        yield [(name, stack.enter_context(readable(str(place)))[0]) for name, place in named]
+        yield [(name, stack.enter_context(open_store_or_archive(str(place)))[0]) for name, place in named]
 
 
 def _words(text: str) -> list[str]:

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
 from daemon.base.files import replace_file
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, checked_seed, chosen_workers
 from daemon.commands.progress import progress_bar
@@ -18,7 +18,7 @@ from daemon.store.outputs import check_outputs
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for scientific libraries.
-    from daemon.studies.energy.benchmark import EnergyRow, Minutes, Terms
+    from daemon.studies.energy.benchmark import Assumptions, EnergyRow, MinuteWeather
     from daemon.studies.energy.losses import Losses
     from daemon.studies.energy.worth import Prices
     from daemon.studies.sites.table import AskedSite
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _ENDINGS = ("txt", "csv", "png")
 
 
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def energy(
     out: Annotated[
         Path,
@@ -112,10 +112,10 @@ def energy(
     as_json: JsonOption = False,
 ) -> None:
     """Compare pointing laws on measured weather: energy, travel and moves, by type of day."""
-    from daemon.studies.energy.names import TOLD_APART, check_laws_of_losses, check_names, default_names
+    from daemon.studies.energy.names import LOSSES_LAW, check_laws_of_losses, check_names, default_names
     from daemon.studies.inputs import check_weather_file, parse_site
 
-    skies, names = _words(sky), _words(laws) if laws is not None else [TOLD_APART] if losses else list(default_names())
+    skies, names = _words(sky), _words(laws) if laws is not None else [LOSSES_LAW] if losses else list(default_names())
     check_names(skies, names)
     speed_deg_per_s, workers = None if ideal else speed, chosen_workers(jobs, cluster)
     prices = _prices(peak_kw, price, drive_price, drive_life_deg)
@@ -128,7 +128,7 @@ def energy(
         check_outputs([out / f"energy-sites.{ending}" for ending in _ENDINGS], "--out", force=force)
         _compare_sites(asked, out, skies, names, albedo, speed_deg_per_s, seed, workers, as_json=as_json)
         return
-    if not workers.here or model is not None:
+    if not workers.is_this_process or model is not None:
         raise UserError("--jobs, --cluster and --model are for many sites: name their table with --sites")
     if not weather or site is None:
         raise UserError("energy needs weather files and their --site LAT,LON, or a table of sites, --sites FILE")
@@ -161,7 +161,7 @@ def _prices(
 
 
 def _compare(
-    laid: "tuple[Minutes, DaylightWeather, Terms]",
+    laid: "tuple[MinuteWeather, DaylightWeather, Assumptions]",
     out: Path,
     skies: list[str],
     names: list[str],
@@ -170,15 +170,15 @@ def _compare(
     as_json: bool,
 ) -> None:
     from daemon.studies.energy import worth
-    from daemon.studies.energy.benchmark import as_page, as_text, run_benchmark, write_csv
+    from daemon.studies.energy.benchmark import as_dict, as_text, run_benchmark, write_csv
     from daemon.studies.energy.plot import plot
 
-    minutes, days, terms = laid
+    minutes, days, assumptions = laid
     ended: UserError | None = None
     rows: list[EnergyRow] = []
     with progress_bar(Console(stderr=True), "comparing") as progress:
         try:
-            for row in run_benchmark(days, skies, names, terms, progress):
+            for row in run_benchmark(days, skies, names, assumptions, progress):
                 rows.append(row)  # noqa: PERF402 - what is there counts when the next one is interrupted
         except KeyboardInterrupt:
             if not rows:
@@ -189,13 +189,13 @@ def _compare(
                 raise
             ended = error
     simulated = minutes.simulated
-    text = as_text(rows, days, terms, simulated=simulated)
-    page = as_page(rows, days, terms, simulated=simulated)
+    text = as_text(rows, days, assumptions, simulated=simulated)
+    page = as_dict(rows, days, assumptions, simulated=simulated)
     if prices is not None:
         years = worth.years_known(minutes.utc_s, days)
         worths = worth.worths(rows, days.whole_days(), years, prices)
         text += worth.as_text(worths, years, prices)
-        page["worth"] = worth.as_page(worths, prices)
+        page["worth"] = worth.as_dict(worths, prices)
     with _writing_to(out):
         replace_file(out / "energy.txt", text)
         write_csv(rows, out / "energy.csv", simulated=simulated)
@@ -211,7 +211,7 @@ def _compare(
 
 
 def _tell_losses(
-    laid: "tuple[Minutes, DaylightWeather, Terms]",
+    laid: "tuple[MinuteWeather, DaylightWeather, Assumptions]",
     out: Path,
     skies: list[str],
     names: list[str],
@@ -219,27 +219,27 @@ def _tell_losses(
     *,
     as_json: bool,
 ) -> None:
-    from daemon.studies.energy.losses import as_page, as_text, run_losses, write_csv
+    from daemon.studies.energy.losses import as_dict, as_text, run_losses, write_csv
     from daemon.studies.energy.losses_plot import plot
 
-    minutes, days, terms = laid
+    minutes, days, assumptions = laid
     found: list[Losses] = []
     done = "all"
     with progress_bar(Console(stderr=True), "comparing") as progress:
         try:
-            for losses in run_losses(days, skies, names, terms, seed, progress):
+            for losses in run_losses(days, skies, names, assumptions, seed, progress):
                 found.append(losses)  # noqa: PERF402 - what is there counts when the next one is interrupted
         except KeyboardInterrupt:
             done = f"{len(found)} of {len(skies) * len(names)}"
             if not found:
                 raise
-    text = as_text(found, days, terms, simulated=minutes.simulated)
+    text = as_text(found, days, assumptions, simulated=minutes.simulated)
     with _writing_to(out):
         replace_file(out / "energy-losses.txt", text)
         write_csv(found, out / "energy-losses.csv", simulated=minutes.simulated)
         plot(found, out / "energy-losses.png", simulated=minutes.simulated)
     if as_json:
-        print_json(as_page(found, simulated=minutes.simulated) | {"tables": out, "warnings": minutes.warnings})
+        print_json(as_dict(found, simulated=minutes.simulated) | {"tables": out, "warnings": minutes.warnings})
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if done != "all":
@@ -250,21 +250,25 @@ def _tell_losses(
 
 def _read_weather(
     weather: list[Path], place: tuple[float, float, float], albedo: float, speed_deg_per_s: float | None
-) -> "tuple[Minutes, DaylightWeather, Terms]":
+) -> "tuple[MinuteWeather, DaylightWeather, Assumptions]":
     """Read the weather and print its warnings; return it, its daylight, and what the benchmark assumes."""
-    from daemon.studies.energy.benchmark import IDEAL, Terms, measured_minutes
-    from solar.energy import Drive, lay_out
+    from daemon.studies.energy.benchmark import IDEAL_DRIVE, Assumptions, read_minute_weather
+    from solar.energy import Drive, arrange_daylight
     from solar.ephemeris import Site
     from solar.frames import Limits
 
-    minutes = measured_minutes(weather, Site(*place))
+    minutes = read_minute_weather(weather, Site(*place))
     for warning in minutes.warnings:
         warn(warning)
     try:
-        days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
+        days = arrange_daylight(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, Site(*place))
     except ValueError as error:
         raise UserError(f"the weather cannot be used: {error}") from error
-    return minutes, days, Terms(albedo, Limits(), IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s))
+    return (
+        minutes,
+        days,
+        Assumptions(albedo, Limits(), IDEAL_DRIVE if speed_deg_per_s is None else Drive(speed_deg_per_s)),
+    )
 
 
 @contextmanager
@@ -302,15 +306,15 @@ def _compare_sites(
     *,
     as_json: bool,
 ) -> None:
-    from daemon.studies.energy.benchmark import IDEAL, Terms
+    from daemon.studies.energy.benchmark import IDEAL_DRIVE, Assumptions
     from daemon.studies.sites.map import draw_map
-    from daemon.studies.sites.output import as_page, as_text, write_csv
+    from daemon.studies.sites.output import as_dict, as_text, write_csv
     from daemon.studies.sites.study import Benchmark, run_sites
     from solar.energy import Drive
     from solar.frames import Limits
 
-    drive = IDEAL if speed_deg_per_s is None else Drive(speed_deg_per_s)
-    benchmark = Benchmark(tuple(skies), tuple(names), Terms(albedo, Limits(), drive), seed)
+    drive = IDEAL_DRIVE if speed_deg_per_s is None else Drive(speed_deg_per_s)
+    benchmark = Benchmark(tuple(skies), tuple(names), Assumptions(albedo, Limits(), drive), seed)
     with progress_bar(Console(stderr=True), "comparing") as progress:
         outcomes, ended = run_sites(sites, benchmark, workers, progress)
     for outcome in outcomes:
@@ -325,7 +329,7 @@ def _compare_sites(
         write_csv(outcomes, out / "energy-sites.csv")
         draw_map(outcomes, out / "energy-sites.png")
     if as_json:
-        print_json(as_page(outcomes, benchmark) | {"tables": out})
+        print_json(as_dict(outcomes, benchmark) | {"tables": out})
     else:
         Console().print(text, markup=False, highlight=False, soft_wrap=True, end="")
     if ended is not None:

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption
 from daemon.commands.progress import progress_bar
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _VALUES = "A number, a list A,B,C or a range FROM:TO:STEP"
 
 
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def gain(
     lat: Annotated[float | None, typer.Option(help="Latitude in degrees, north positive.")] = None,
     lat_range: Annotated[str | None, typer.Option(metavar="FROM:TO:STEP", help="Several latitudes in degrees.")] = None,
@@ -107,7 +107,7 @@ def gain(
 
         rows = evaluate_points(cases, with_printed=printed)
         if as_json:
-            print_json(output.as_page(rows, None))
+            print_json(output.as_dict(rows, None))
         else:
             output.write(rows, table_format or AnswerFormat.CSV, out, console, None)
         return
@@ -138,7 +138,7 @@ def gain(
         say(f"figure in {plot}", err=True)
     label = sky.label if sky else None
     if as_json:
-        print_json(output.as_page(columns, label) | {"figure": plot})
+        print_json(output.as_dict(columns, label) | {"figure": plot})
     else:
         most_rows = output.MOST_ROWS if plot is None else output.MOST_ROWS_BESIDE_A_FIGURE
         output.write(columns, table_format or AnswerFormat.TABLE, out, console, label, most_rows=most_rows)

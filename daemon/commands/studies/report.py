@@ -9,13 +9,13 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, warn
 from daemon.commands.archive.readable import check_readable
 from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
 from daemon.commands.progress import progress_bar
-from daemon.commands.studies.simulate import tell_pages
+from daemon.commands.studies.simulate import print_written_paths
 from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths, zone_of
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from daemon.archive.reader import ArchiveReader
     from daemon.config.settings import Settings
     from daemon.studies.report.material import Material
-    from daemon.studies.report.span import Wanted
+    from daemon.studies.report.span import RequestedSpan
 
 app = typer.Typer()
 
@@ -55,7 +55,7 @@ ConfigOption = Annotated[
 
 
 @app.command(rich_help_panel=FILES)
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def report(
     day: DayOption = None,
     start: FromOption = None,
@@ -72,9 +72,9 @@ def report(
 
     One file for each tracker, complete in itself: it can be opened, sent and printed anywhere.
     """
-    from daemon.studies.report.span import Wanted
+    from daemon.studies.report.span import RequestedSpan
 
-    wanted = Wanted(day, start, end)
+    wanted = RequestedSpan(day, start, end)
     place, settings = store_directory("report", store, config), _settings(config)
     check_readable(place)
     local = zone_of(zone)
@@ -94,7 +94,7 @@ def report(
 
 
 @app.command(rich_help_panel=FILES)
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def plot(
     what: Annotated[
         list[str],
@@ -130,15 +130,15 @@ def plot(
         format_of_tables(tables)
         if store is not None:
             raise UserError("plot needs either --store or --tables, not both")
-    from daemon.studies.report.span import Wanted
+    from daemon.studies.report.span import RequestedSpan
 
     whole = tables is not None and day is None and start is None and end is None
-    wanted = None if whole else Wanted(day, start, end)
+    wanted = None if whole else RequestedSpan(day, start, end)
     local, place = zone_of(zone), "" if tables is not None else store_directory("plot", store, config)
     if place:
         check_readable(place)
     # Slow to import: the checks above refuse most mistakes without them.
-    from daemon.studies.report.plot import draw, material_of_tables, nothing_to_show
+    from daemon.studies.report.plot import draw, material_of_tables, missing_picture_notes
     from daemon.studies.report.write import check_output, with_settings
 
     settings = _settings(config)
@@ -147,14 +147,14 @@ def plot(
         if tables is not None:
             material = material_of_tables(tables, site, settings, wanted, tracker, warn)
         else:
-            asked = Wanted(day, start, end)
+            asked = RequestedSpan(day, start, end)
             with _readable(place, asked) as (directory, called):
                 found = _materials(directory, called, asked, tracker, progress)
             names = ", ".join(each.tracker for each in found)
             if len(found) > 1:
                 raise UserError(f"that store has several trackers, {names}: choose one with --tracker NAME")
             material = found[0]
-    without = nothing_to_show(material, what)
+    without = missing_picture_notes(material, what)
     drawn = {name: path for name, path in zip(what, paths, strict=True) if name not in without}
     if drawn:
         draw(with_settings(material, settings), list(drawn), list(drawn.values()), local)
@@ -167,7 +167,7 @@ def _tell(paths: "Sequence[Path]", *, as_json: bool, simulated: bool) -> None:
     if as_json:
         print_json({"simulated": simulated, "written": paths})
     else:
-        tell_pages(paths)
+        print_written_paths(paths)
 
 
 def _settings(config: Path | None) -> "Settings | None":
@@ -178,18 +178,18 @@ def _settings(config: Path | None) -> "Settings | None":
     return load_settings(config)
 
 
-def _readable(place: str, wanted: "Wanted") -> "AbstractContextManager[tuple[Path, str]]":
+def _readable(place: str, wanted: "RequestedSpan") -> "AbstractContextManager[tuple[Path, str]]":
     """Give access to the records of a span, in a store or in a copy from an archive."""
-    from daemon.commands.archive.readable import readable
+    from daemon.commands.archive.readable import open_store_or_archive
 
     def ends_s(reader: "ArchiveReader") -> tuple[float, float]:
         span = wanted.span(reader.longitude_deg, time.time())
         return span.start_utc_s, span.end_utc_s
 
-    return readable(place, ends_s)
+    return open_store_or_archive(place, ends_s)
 
 
-def _name(directory: Path, wanted: "Wanted") -> str:
+def _name(directory: Path, wanted: "RequestedSpan") -> str:
     """Return the name of the span, for which only the site's place is read; empty without any run."""
     from daemon.store.runs import runs_of
     from daemon.store.schema import FILE_NAME
@@ -199,8 +199,8 @@ def _name(directory: Path, wanted: "Wanted") -> str:
 
 
 def _materials(
-    directory: Path, called: str, wanted: "Wanted", tracker: str | None, progress: "Callable[[float], None]"
+    directory: Path, called: str, wanted: "RequestedSpan", tracker: str | None, progress: "Callable[[float], None]"
 ) -> "list[Material]":
-    from daemon.studies.report.material import from_store
+    from daemon.studies.report.material import read_material
 
-    return from_store(directory, wanted, tracker, time.time(), progress, called)
+    return read_material(directory, wanted, tracker, time.time(), progress, called)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from daemon.base.errors import UserError
-from daemon.base.files import part_of
+from daemon.base.files import atomic_output_path
 from daemon.commands.answers import say
 from daemon.commands.options import ForceOption
 from daemon.store.outputs import check_outputs
@@ -30,7 +30,7 @@ def samples(
     for source in sources:
         try:
             # Whole or not at all: half a day would pass for a recording with a gap.
-            with part_of(out / source.name) as part:
+            with atomic_output_path(out / source.name) as part:
                 shutil.copyfile(source, part)
         except OSError as error:
             raise UserError(f"--out: {out} cannot take {source.name}: {error.strerror}") from None

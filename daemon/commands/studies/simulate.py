@@ -11,8 +11,8 @@ import typer
 from rich.console import Console
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.base.process import as_ctrl_c
-from daemon.base.words import counted
+from daemon.base.process import signals_as_ctrl_c
+from daemon.base.words import pluralise
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ForceOption, LawOption, ReportOption, TrackerOption, ZoneOption
 from daemon.commands.progress import progress_bar
@@ -44,7 +44,7 @@ def page_of(summary: "Summary", settings: "Settings", out: Path, pages: "Sequenc
     }
 
 
-def report(summary: "Summary", settings: "Settings", out: Path) -> None:
+def print_summary(summary: "Summary", settings: "Settings", out: Path) -> None:
     """Print what was simulated and where the tables are; a warning goes to standard error."""
     for warning in summary.warnings:
         warn(warning)
@@ -59,8 +59,8 @@ def report(summary: "Summary", settings: "Settings", out: Path) -> None:
             f"weather {settings.simulation.weather}, seed {settings.simulation.seed}"
         ),
         (
-            f"{counted(summary.scans, 'scan')}, {together}{counted(summary.decisions, 'decision')}, "
-            f"{counted(summary.moves, 'move')}, {summary.travel_deg:.0f} degrees of travel"
+            f"{pluralise(summary.scans, 'scan')}, {together}{pluralise(summary.decisions, 'decision')}, "
+            f"{pluralise(summary.moves, 'move')}, {summary.travel_deg:.0f} degrees of travel"
         ),
         f"modes{', together' if several else ''}: {hours}",
         *_lines_of_planes(summary.insolation),
@@ -113,7 +113,7 @@ def draw_pictures(paths: "Sequence[Path]", settings: "Settings", tables: Path, z
     draw(material_of_tables(tables, None, settings, None, None), _PICTURES, paths, zone)
 
 
-def checked_report(
+def check_report_and_zone(
     out: Path | None, zone: str | None, settings: "Settings", span: tuple[float, float], *, force: bool
 ) -> "tzinfo | None":
     """Check before the work whether its report can be written, and return the zone of local times.
@@ -135,13 +135,13 @@ def checked_report(
     return local
 
 
-def without_page(report_to: Path | None) -> str:
+def missing_page_clause(report_to: Path | None) -> str:
     """Return the end of the sentence about an interruption: it says that no page was written, if one was wanted."""
     return "" if report_to is None else ", and no page was written"
 
 
 @contextlib.contextmanager
-def after_tables(what: str) -> Iterator[None]:
+def explain_missing_pages(what: str) -> Iterator[None]:
     """Let Ctrl-C report `what` is kept while pictures and pages are made; raises `InterruptedEarlyError`."""
     try:
         yield
@@ -149,13 +149,13 @@ def after_tables(what: str) -> Iterator[None]:
         raise InterruptedEarlyError(f"interrupted: {what}, but not all pictures and pages are") from None
 
 
-def tell_pages(paths: "Sequence[Path]") -> None:
+def print_written_paths(paths: "Sequence[Path]") -> None:
     """Say where pages or pictures are."""
     for path in paths:
         say(f"written: {path}")
 
 
-@as_ctrl_c()
+@signals_as_ctrl_c()
 def replay(
     out: Annotated[
         Path, typer.Option(metavar="FILE", help="File for the positions, one line per reading: .csv or .csv.gz.")
@@ -180,23 +180,23 @@ def replay(
     as_json: JsonOption = False,
 ) -> None:
     """Let recorded cube data drive a simulated tracker, through the code that runs live."""
-    from daemon.config.settings import settings_of_one
+    from daemon.config.settings import settings_of_tracker
     from daemon.store.outputs import check_outputs
-    from daemon.studies.inputs import check_ordinary, settings_for, site_values
+    from daemon.studies.inputs import check_regular_file, settings_for, site_values
 
     if (faces is None) is (store is None):
         raise UserError("replay needs either FACES.csv or --store DIR")
     if site is None and config is None:
         raise UserError("replay needs --site LAT,LON[,ALT], or --config FILE with a site")
     settings = settings_for(config, law=law, site=None if site is None else site_values(site))
-    settings = settings_of_one(settings, tracker)
+    settings = settings_of_tracker(settings, tracker)
     if faces is not None and out.exists() and faces.exists() and out.samefile(faces):
         raise UserError(f"--out: {out} is the file with the readings; name another")
     if not out.name.lower().endswith((".csv", ".csv.gz")):
         raise UserError(f"--out: {out} must end in .csv or .csv.gz")
     check_outputs([out], "--out", force=force)
     if faces is not None:
-        check_ordinary(faces, "a cube's readings")
+        check_regular_file(faces, "a cube's readings")
         if not faces.exists():
             raise UserError(f"there is no file {faces}: name a CSV file with the columns time,east,south,west,zenith")
     from daemon.studies.recorded import read_csv, rows_of_store, unit_note
@@ -216,7 +216,7 @@ def replay(
         warn(in_kilowatts)
     # The end is not part of a span, and the last reading has to be.
     span = (float(rows.utc_s[0]), float(rows.utc_s[-1]) + 1.0)
-    local = checked_report(report_to, zone, settings, span, force=force)
+    local = check_report_and_zone(report_to, zone, settings, span, force=force)
     with progress_bar(Console(stderr=True), "replaying") as progress:
         replayed = run_replay(settings, rows, called, out, progress)
     done = len(replayed.qualities)
@@ -224,7 +224,7 @@ def replay(
     if report_to is not None and done == len(rows):
         from daemon.studies.report.studies import report_replay
 
-        with after_tables(f"{out} is whole"):
+        with explain_missing_pages(f"{out} is whole"):
             pages = report_replay(settings, span, rows, replayed, out, report_to, local, force=force)
     warnings, law = replayed.failed_laws, settings.law.driver
     if as_json:
@@ -232,9 +232,11 @@ def replay(
         page = {"simulated": True, "rows": done, "law": law, "warnings": told, "table": out, "reports": pages}
         print_json(page)
     else:
-        say(f"{counted(done, 'row')} by {law} on a SIMULATED tracker: {out}")
+        say(f"{pluralise(done, 'row')} by {law} on a SIMULATED tracker: {out}")
         for warning in warnings:
             say(warning)
-        tell_pages(pages)
+        print_written_paths(pages)
     if done < len(rows):
-        raise InterruptedEarlyError(f"interrupted: {done} of {len(rows)} rows are in {out}{without_page(report_to)}")
+        raise InterruptedEarlyError(
+            f"interrupted: {done} of {len(rows)} rows are in {out}{missing_page_clause(report_to)}"
+        )

@@ -7,7 +7,7 @@ import typer
 
 from daemon.base.errors import ExitCode, UserError
 from daemon.commands import options
-from daemon.commands.answers import JsonOption, print_json, say, teller
+from daemon.commands.answers import JsonOption, message_printer, print_json, say
 from daemon.commands.options import FILES, OPERATION, ConfigOption, RoleChoice
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def self_check(
     Nothing is written and nothing moves. If the service runs, it is asked; otherwise the instruments are.
     Exit code: 0 if all is well, 4 if something needs attention, 2 if the configuration cannot be used.
     """
-    from daemon.commands.upgrade.finding import exit_code, hang, lines, page
+    from daemon.commands.upgrade.finding import exit_code, lines, page, text_column
 
     if config is None:
         raise UserError("self-check needs the service's configuration: name it with --config or in HELIOCUBE_CONFIG")
@@ -46,28 +46,28 @@ def self_check(
     if as_json:
         print_json(page(found))
     else:
-        say("\n".join(lines(found)), hang=hang(found))
+        say("\n".join(lines(found)), hang=text_column(found))
     raise typer.Exit(exit_code(found))
 
 
 def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
     import os
 
-    from daemon.commands.kept import with_records
+    from daemon.commands.kept import with_records_folder
     from daemon.commands.upgrade import machine, running
     from daemon.commands.upgrade.finding import Finding
     from daemon.config.file import load_settings
 
-    yield machine.program()
-    yield machine.configuration(config, role)
+    yield machine.check_program()
+    yield machine.check_configuration(config, role)
     try:
-        settings = with_records(load_settings(config), config, os.environ)
+        settings = with_records_folder(load_settings(config), config, os.environ)
     except UserError:
         return
-    yield machine.store(settings)
-    yield machine.disk(settings)
-    yield machine.clock(settings)
-    service = running.asked(settings, config)
+    yield machine.check_store(settings)
+    yield machine.check_disk(settings)
+    yield machine.check_clock(settings)
+    service = running.query_service(settings, config)
     if service is not None:
         yield from service
         return
@@ -80,24 +80,26 @@ def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
 
 def _role(settings: "Settings", role: RoleChoice | None) -> "Role | None":
     """Return the role that was given, or else the widest role that can run with the settings."""
-    from daemon.commands.run import lacking
+    from daemon.commands.run import missing_requirements
     from daemon.service.rig import Role
 
     if role is not None:
         return Role(role.value)
-    return next((each for each in (Role.BOTH, Role.TRACKER, Role.CUBE) if not lacking(settings, each)), None)
+    return next(
+        (each for each in (Role.BOTH, Role.TRACKER, Role.CUBE) if not missing_requirements(settings, each)), None
+    )
 
 
 def _findings_without_service(settings: "Settings", role: "Role") -> "Iterator[Finding]":
     import asyncio
 
-    from daemon.commands.upgrade.instruments import instruments
-    from daemon.commands.upgrade.machine import wind_source
+    from daemon.commands.upgrade.instruments import check_instruments
+    from daemon.commands.upgrade.machine import check_wind_source
     from daemon.service.rig import Role
 
-    yield from asyncio.run(instruments(settings, role))
+    yield from asyncio.run(check_instruments(settings, role))
     if role is not Role.CUBE:
-        yield from wind_source(settings)
+        yield from check_wind_source(settings)
 
 
 @app.command(rich_help_panel=FILES)
@@ -130,12 +132,14 @@ def rollback(
     from daemon.commands.upgrade.installed import Program
     from daemon.commands.upgrade.rollback import roll_back
 
-    installation = installed.installed() if to is None else None
-    program = Program.at(to) if installation is None else installation.before
-    configs = config or [path for role in ("tracker", "cube") if (path := options.INSTALLED / f"{role}.toml").exists()]
+    installation = installed.find_installation() if to is None else None
+    program = Program.at(to) if installation is None else installation.previous
+    configs = config or [
+        path for role in ("tracker", "cube") if (path := options.CONFIG_FOLDER / f"{role}.toml").exists()
+    ]
     if not configs:
         raise UserError("there is no configuration in /etc/heliocube: name it with --config")
-    tell, done = teller(as_json=as_json), []
+    tell, done = message_printer(as_json=as_json), []
     with installed.interruptible(installation):
         units = installed.stop_units() if installation is not None else []
         try:
@@ -144,7 +148,7 @@ def rollback(
                     tell(sentence)
                     done.append(sentence)
             if installation is not None:
-                installation.switch()
+                installation.activate_previous()
                 if units:
                     # A unit may take a minute to start. Whoever does not wait should know how far this came.
                     sentence = f"{program.name} is in use; starting {', '.join(units)}"
@@ -155,7 +159,7 @@ def rollback(
     for unit in failed:
         tell(f"{unit} does not start: see 'systemctl status {unit}'")
     where = "is in use" if installation is not None else "can be started"
-    tell(f"{program.name} {where}: {installed.LOOK}")
+    tell(f"{program.name} {where}: {installed.RELEASE_ADVICE}")
     if as_json:
         print_json({"release": program.name, "in_use": installation is not None, "done": done, "not_started": failed})
     raise typer.Exit(ExitCode.NOT_SEEN if failed else ExitCode.GOOD)

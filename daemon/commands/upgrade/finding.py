@@ -56,7 +56,7 @@ def page(findings: Sequence[Finding]) -> dict[str, Any]:
     return {"exit_code": int(exit_code(findings)), "findings": found}
 
 
-def hang(findings: Sequence[Finding]) -> int:
+def text_column(findings: Sequence[Finding]) -> int:
     """Return the column in which the texts of the lines begin."""
     return _OUTCOME + 1 + _width(findings) + 2
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daemon.base.errors import InterruptedEarlyError, UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 
 _UNITS = tuple(f"heliocube-{name}" for name in ("tracker", "cube", "dashboard", "notify", "archive"))
 _WANTED = ("active", "activating", "reloading", "failed")
@@ -18,7 +18,7 @@ _WANTED = ("active", "activating", "reloading", "failed")
 _COMPLETE_MARK = ".complete"
 _SYSTEMD = Path("/run/systemd/system")
 _WITHIN_S = 120.0
-LOOK = "look at the tracker, then release it as 'heliocube status' says"
+RELEASE_ADVICE = "look at the tracker, then release it as 'heliocube status' says"
 """What is left to do after another release has been put in use: it holds each tracker."""
 
 
@@ -82,12 +82,12 @@ class Installation:
     ----------
     current
         The link to the release in use.
-    before
+    previous
         The other release.
     """
 
     current: Path
-    before: Program
+    previous: Program
 
     @classmethod
     def of(cls, prefix: Path) -> "Installation":
@@ -110,15 +110,15 @@ class Installation:
     @property
     def is_back(self) -> bool:
         """Whether the release before is in use."""
-        return self.current.resolve() == self.before.folder.parent.resolve()
+        return self.current.resolve() == self.previous.folder.parent.resolve()
 
-    def switch(self) -> None:
+    def activate_previous(self) -> None:
         """Put the release before in use, in one step, so that no release is left to go back to from there."""
         # Otherwise the command, given again, would take the newer release for the release before.
         (self.current / _COMPLETE_MARK).unlink(missing_ok=True)
         new = self.current.with_name("current.new")
         new.unlink(missing_ok=True)
-        new.symlink_to(Path("releases") / self.before.name)
+        new.symlink_to(Path("releases") / self.previous.name)
         new.replace(self.current)
 
 
@@ -126,7 +126,7 @@ def _is_complete(folder: Path) -> bool:
     return (folder / _COMPLETE_MARK).exists() and (folder / "bin" / "heliocube").is_file()
 
 
-def installed() -> Installation:
+def find_installation() -> Installation:
     """Return the installation of this process; raises `UserError` if it has no way back."""
     found = Installation.of(Path(sys.prefix))
     if sys.platform != "win32" and os.geteuid() != 0:
@@ -170,12 +170,12 @@ def interruptible(installation: Installation | None) -> Iterator[None]:
         In place of `KeyboardInterrupt`.
     """
     try:
-        with as_ctrl_c():
+        with signals_as_ctrl_c():
             yield
     except KeyboardInterrupt:
         further = "; give the command again, and it goes on where it was"
         if installation is not None and installation.is_back:
-            further = f", and {installation.before.name} is in use: {LOOK}"
+            further = f", and {installation.previous.name} is in use: {RELEASE_ADVICE}"
         raise InterruptedEarlyError(f"interrupted: units that ran are started again{further}") from None
 
 

@@ -22,7 +22,7 @@ _WITHIN_S = 60.0
 Ask = Callable[[Settings], Awaitable[tuple[str, str]]]
 
 
-async def instruments(settings: Settings, role: Role) -> list[Finding]:
+async def check_instruments(settings: Settings, role: Role) -> list[Finding]:
     """Return how each instrument of a role answers: opened, read once and released, one after the other.
 
     Nothing is sent that could move an axis. Voltmeter, multiplexer and load are asked and left as they are; a cube of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.base.installation import damage, release
+from daemon.base.installation import overwritten_package_text, release
 from daemon.base.kernel_clock import synchronised
 from daemon.commands.file_check import check_file
 from daemon.commands.options import RoleChoice
@@ -16,8 +16,8 @@ from daemon.commands.upgrade.finding import CONFIGURATION, Finding
 from daemon.config.file import ConfigError
 from daemon.config.settings import Settings
 from daemon.store.aside import aside_text
-from daemon.store.copies import no_room
-from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, require_target, unreadable
+from daemon.store.copies import missing_space_text
+from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, require_link_target, unreadable_store_error
 from daemon.store.tables import COLUMNS
 
 _MB = 1e6
@@ -28,15 +28,15 @@ _AS_ITS_USER = "look as the user that the service runs as, with sudo -u"
 _WITHOUT_SYNCHRONISATION = "the sun's position comes from it: see 'timedatectl', and enable systemd-timesyncd or chrony"
 
 
-def program() -> Finding:
+def check_program() -> Finding:
     """Return which heliocube this is, and whether another package has overwritten parts of it."""
-    found = damage()
+    found = overwritten_package_text()
     if found is not None:
         return Finding("program", f"heliocube {release()}", found)
     return Finding("program", f"heliocube {release()}")
 
 
-def configuration(path: Path, role: RoleChoice | None) -> Finding:
+def check_configuration(path: Path, role: RoleChoice | None) -> Finding:
     """Return whether `heliocube run` could use the file."""
     try:
         check_file(path, role)
@@ -47,7 +47,7 @@ def configuration(path: Path, role: RoleChoice | None) -> Finding:
     return Finding(CONFIGURATION, str(path))
 
 
-def store(settings: Settings) -> Finding:
+def check_store(settings: Settings) -> Finding:
     """Return whether the records can be read, of which version the store is, and when the latest record was kept."""
     directory = settings.store.directory
     if directory is None:
@@ -56,11 +56,11 @@ def store(settings: Settings) -> Finding:
     if (aside := aside_text(path)) is not None:
         return Finding("store", str(path), aside)
     try:
-        require_target(path)
+        require_link_target(path)
         if not path.exists():
             return Finding("store", f"nothing in {directory} yet: the first start makes it")
         text, older = _store_contents(path)
-        lacking = no_room(path, path.stat().st_size) if older else None
+        lacking = missing_space_text(path, path.stat().st_size) if older else None
         return Finding("store", f"{path}: {text}", f"{lacking}: make room before the next start" if lacking else "")
     except UserError as error:
         return Finding("store", str(path), str(error))
@@ -75,7 +75,7 @@ def _store_contents(path: Path) -> tuple[str, bool]:
             version: int = connection.execute("PRAGMA user_version").fetchone()[0]
             latest_utc_s = _latest_utc_s(connection)
         except sqlite3.Error as error:
-            raise unreadable(path, error) from None
+            raise unreadable_store_error(path, error) from None
     size = f"{path.stat().st_size / _MB:.1f} MB"
     latest = "no record yet" if latest_utc_s is None else f"the latest record of {iso_utc(latest_utc_s)[:19]}Z"
     if version == VERSION:
@@ -90,7 +90,7 @@ def _latest_utc_s(connection: sqlite3.Connection) -> float | None:
     return max((float(utc_s) for utc_s in latest if utc_s is not None), default=None)
 
 
-def disk(settings: Settings) -> Finding:
+def check_disk(settings: Settings) -> Finding:
     """Return how much room is left where the records are kept, and for how many days that is enough."""
     directory = (settings.store.directory or Path()).absolute()
     try:
@@ -107,7 +107,7 @@ def disk(settings: Settings) -> Finding:
     return Finding("disk", text, remedy)
 
 
-def clock(settings: Settings) -> Finding:
+def check_clock(settings: Settings) -> Finding:
     """Return whether the machine's clock is synchronised."""
     if not settings.real or settings.bench_clock is not None:
         return Finding("clock", "simulated")
@@ -119,7 +119,7 @@ def clock(settings: Settings) -> Finding:
     return Finding("clock", "is synchronised")
 
 
-def wind_source(settings: Settings) -> Iterator[Finding]:
+def check_wind_source(settings: Settings) -> Iterator[Finding]:
     """Yield for each tracker what would stow it in a storm, as far as the file says."""
     for name, own in settings.trackers:
         subject = "wind source" if len(settings.trackers) == 1 else f"wind source of {name}"

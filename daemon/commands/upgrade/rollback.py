@@ -3,23 +3,23 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from daemon.base.alarms.kinds import as_typed
+from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.files import first_free, give, make_folder, rewrite_file, toml_text, write_new
+from daemon.base.files import first_free, give_to_folder_owner, make_folder, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
-from daemon.base.words import counted
-from daemon.commands.kept import records_of
+from daemon.base.words import pluralise
+from daemon.commands.kept import find_records_folder
 from daemon.commands.options import RoleChoice, unit_role
 from daemon.commands.upgrade.installed import Program
 from daemon.config.file import load_settings
-from daemon.config.migrate import kept_before
+from daemon.config.migrate import list_backups
 from daemon.config.settings import Settings
 from daemon.store.copies import copies_of, copy_path, version_of
-from daemon.store.place import claimed
+from daemon.store.place import lock_folder
 from daemon.store.schema import FILE_NAME, VERSION
-from daemon.store.way_back import go_back, set_aside, version_in
+from daemon.store.way_back import downgrade_store, set_aside, version_in
 from daemon.tracker.wishes import FILE_NAME as WISHES_NAME
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 
@@ -46,7 +46,7 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
     # The other release runs in another folder, so it needs the whole path.
     config = config.absolute()
     settings = load_settings(config)
-    directory = records_of(settings, config, environment)
+    directory = find_records_folder(settings, config, environment)
     try:
         if directory is not None:
             # If the file names no folder, its service has one all the same.
@@ -54,7 +54,7 @@ def roll_back(config: Path, to: Program, environment: Mapping[str, str]) -> Iter
             folders = [own.store.directory or directory for _, own in settings.trackers]
             for folder in folders:
                 make_folder(folder)
-            with claimed(directory, ("cube", "tracker")):
+            with lock_folder(directory, ("cube", "tracker")):
                 if unit_role(config) is not RoleChoice.cube:
                     yield from _hold_trackers(settings, to)
                 yield from _roll_back_store(directory, to)
@@ -80,7 +80,9 @@ def _hold_trackers(settings: Settings, to: Program) -> Iterator[str]:
             if folder.unsaved is not None:
                 raise UserError(folder.unsaved)
         if wishes == Wishes() or wishes.held_by_program:
-            yield as_typed(f"{name} is held until 'heliocube auto'", name if len(settings.trackers) > 1 else None)
+            yield with_tracker_option(
+                f"{name} is held until 'heliocube auto'", name if len(settings.trackers) > 1 else None
+            )
         else:
             yield f"{name} stays as a person has ordered"
 
@@ -98,8 +100,8 @@ def _roll_back_store(directory: Path, to: Program) -> Iterator[str]:
     if not path.exists() or wanted is None or version_in(path) <= wanted:
         yield f"{path}: {to.name} can use it as it is"
     elif copy.exists():
-        done = go_back(path, copy, now_utc_s)
-        kept = f"with {counted(done.records, 'record')} that came since"
+        done = downgrade_store(path, copy, now_utc_s)
+        kept = f"with {pluralise(done.records, 'record')} that came since"
         since = "WITHOUT the records that came since" if done.left_out else kept
         yield f"{path}: as it was before the upgrade, {since}; all of it is in {done.newer}"
         if done.left_out:
@@ -114,7 +116,7 @@ def _roll_back_file(config: Path, to: Program) -> Iterator[str]:
     if to.accepts(config):
         yield f"{config}: {to.name} can use it as it is"
         return
-    kept = kept_before(config)
+    kept = list_backups(config)
     # An empty file, as a full disk leaves it, has no mistakes but is no configuration.
     old = next((each for each in kept if to.accepts(each) and toml_text(each).strip()), None)
     if old is None:
@@ -132,4 +134,4 @@ def _roll_back_file(config: Path, to: Program) -> Iterator[str]:
 def _give_to_owner(directory: Path) -> None:
     """Give the files that were written here to the owner of the folder, which is the service's user."""
     for path in (*directory.glob(f"{Path(WISHES_NAME).stem}.*"), *directory.glob(".*-in-use")):
-        give(path)
+        give_to_folder_owner(path)

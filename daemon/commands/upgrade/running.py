@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from daemon.api.client import NoServiceError, find_unarmed
+from daemon.api.client import NoServiceError, find_without_token
 from daemon.base.installation import release
 from daemon.base.records import Quality
 from daemon.commands.status.check import mode_words
-from daemon.commands.status.times import in_local, moment
+from daemon.commands.status.times import local_and_utc_time, localise_times
 from daemon.commands.upgrade.finding import Finding
 from daemon.config.settings import Settings
 from daemon.service.rig import Role
@@ -17,28 +17,31 @@ from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, last_started
 _ALARMS_TOLD_ELSEWHERE = ("no-wind-source", "nothing-kept", "stow-source-silent")
 
 
-def asked(settings: Settings, config: Path | None) -> list[Finding] | None:
+def query_service(settings: Settings, config: Path | None) -> list[Finding] | None:
     """Return what the service of these settings, read from `config`, says; None if no service listens."""
     if not settings.api.enabled:
         return None
-    client = find_unarmed(config, None, {})
+    client = find_without_token(config, None, {})
     try:
         state = client.state()
-        return [*program(settings, state["role"]), *service(in_local(state), in_local(client.health()))]
+        return [
+            *check_running_release(settings, state["role"]),
+            *service_findings(localise_times(state), localise_times(client.health())),
+        ]
     except NoServiceError as error:
         if isinstance(error.__context__, ConnectionRefusedError):
             return None
         return [Finding("service", str(error), "see what listens there: 'ss -tlnp'")]
 
 
-def program(settings: Settings, role: str) -> Iterator[Finding]:
+def check_running_release(settings: Settings, role: str) -> Iterator[Finding]:
     """Yield which heliocube the running service is, if it is another release than this."""
     started = last_started(settings.store.directory, CUBE_FILE_NAME if role == Role.CUBE else FILE_NAME)
     if started is not None and started != release():
         yield Finding("service", f"still runs heliocube {started}", "restart it, so that it runs the installed release")
 
 
-def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
+def service_findings(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
     """Yield what the service says of its work, its instruments, the wind and the clock, and each alarm.
 
     `state` and `health` are the JSON of /api/state and of /healthz.
@@ -57,7 +60,9 @@ def service(state: dict[str, Any], health: dict[str, Any]) -> Iterator[Finding]:
         if alarm["name"] in _ALARMS_TOLD_ELSEWHERE:
             continue
         subject = f"alarm {_tracker_prefix(alarm['tracker'], state)}{alarm['name']}"
-        yield Finding(subject, f"{alarm['state']} since {moment(alarm['since'])}: {alarm['text']}", alarm["remedy"])
+        yield Finding(
+            subject, f"{alarm['state']} since {local_and_utc_time(alarm['since'])}: {alarm['text']}", alarm["remedy"]
+        )
     if state["store"] is not None and state["store"]["down_why"]:
         yield Finding("store", state["store"]["down_why"], "disk full, rights")
 

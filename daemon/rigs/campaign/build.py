@@ -9,8 +9,8 @@ from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.file import override
 from daemon.config.settings import Settings
 from daemon.config.trackers import TrackerTable
-from daemon.rigs.campaign.plant import UNIT_GOES_TO, Plant
-from daemon.rigs.campaign.rig import HandWeather
+from daemon.rigs.campaign.plant import UNIT_OWN_TARGET, Plant
+from daemon.rigs.campaign.rig import ManualWeather
 from daemon.rigs.campaign.taps import Witness
 from sim_drivers.pozsol.setup import Setup
 from solar.frames import Angles
@@ -88,8 +88,8 @@ def build_plant(
     sky_w_m2
         DNI and DHI.
     """
-    setup = Setup(synchronous=synchronous, own_target=_own_target, wind_stow=UNIT_GOES_TO, snow_stow=UNIT_GOES_TO)
-    return Plant(loop, settings, start, HandWeather(*sky_w_m2), setup, witnesses)
+    setup = Setup(synchronous=synchronous, own_target=_own_target, wind_stow=UNIT_OWN_TARGET, snow_stow=UNIT_OWN_TARGET)
+    return Plant(loop, settings, start, ManualWeather(*sky_w_m2), setup, witnesses)
 
 
 def _tables(trackers: int) -> tuple[TrackerTable, ...]:
@@ -105,4 +105,4 @@ def _tables(trackers: int) -> tuple[TrackerTable, ...]:
 
 def _own_target(now_s: float) -> Angles:
     """Return where the unit's own tracking points; it moves on every 5 min."""
-    return UNIT_GOES_TO if int(now_s // _OWN_TARGET_EVERY_S) % 2 else Angles(-20.0, 60.0)
+    return UNIT_OWN_TARGET if int(now_s // _OWN_TARGET_EVERY_S) % 2 else Angles(-20.0, 60.0)

@@ -4,7 +4,7 @@ import errno
 import os
 from pathlib import Path
 
-from daemon.base.state import ROOM_BYTES, replace_kept, reserve_room, spare_of
+from daemon.base.state import ROOM_BYTES, replace_state_file, reserve_disk_space, spare_of
 
 
 class Disk:
@@ -23,9 +23,9 @@ class Disk:
         """Replace a file as a whole; `OSError` if the disk is full and the file's reserved room does not suffice."""
         if self.is_full and not (spare_of(path).is_file() and len(text.encode()) <= ROOM_BYTES):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
-        replace_kept(path, text)
+        replace_state_file(path, text)
 
     def reserve(self, path: Path) -> None:
         """Reserve room for a file, unless the disk is full."""
         if not self.is_full:
-            reserve_room(path)
+            reserve_disk_space(path)

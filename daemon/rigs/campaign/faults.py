@@ -9,10 +9,10 @@ from functools import partial
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.bridge.sender import pack
-from daemon.rigs.campaign.plant import PLUGGED, Plant, PlantTracker, nothing
+from daemon.rigs.campaign.plant import PLUGGABLE_DEVICES, Plant, PlantTracker, no_op
 from daemon.rigs.campaign.rig import CALM_M_S, KEY
 from daemon.rigs.campaign.rotator import DEAF, GONE, SENT_AWAY, STOPLESS
-from daemon.rigs.campaign.taps import Sleepless
+from daemon.rigs.campaign.taps import SleeplessUnit
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 Value = tuple[float, ...]
@@ -33,39 +33,41 @@ class PlantFault:
     ----------
     begin, end
         Called with a tracker and the event's value; `end` is None for a fault that is over at once.
-    moves
+    may_move
         The unit may begin to move by itself.
     by_hand
         A person moves the unit.
-    uncounts
+    may_lose_counts
         The unit may lose counts without reporting it.
-    of_all
+    is_shared
         It concerns what all trackers share: whichever tracker it is called with, it happens to all.
     """
 
     begin: Call
     end: Call | None = None
-    moves: bool = False
+    may_move: bool = False
     by_hand: bool = False
-    uncounts: bool = False
-    of_all: bool = False
+    may_lose_counts: bool = False
+    is_shared: bool = False
 
 
 def _shared_fault(begin: _PlantCall, end: _PlantCall | None = None) -> PlantFault:
-    return PlantFault(_by_plant(begin), None if end is None else _by_plant(end), of_all=True)
+    return PlantFault(_by_plant(begin), None if end is None else _by_plant(end), is_shared=True)
 
 
 def _by_plant(call: _PlantCall) -> Call:
     return lambda mount, value: call(mount.plant, value)
 
 
-def _injected_fault(name: str, *, lasting: bool, moves: bool = False, by_hand: bool = False) -> PlantFault:
+def _injected_fault(name: str, *, lasting: bool, may_move: bool = False, by_hand: bool = False) -> PlantFault:
     if name not in UNIT_FAULTS:
         raise ValueError(f"the simulated positioner has no fault {name!r}")
 
     begin, end = partial(_inject, name=name), partial(_repair, name=name)
-    uncounts = name == "undervoltage" or name.endswith(("hall_loss", "slip", "pulse_loss"))
-    return PlantFault(begin, end if lasting else None, moves=moves, by_hand=by_hand, uncounts=uncounts)
+    may_lose_counts = name == "undervoltage" or name.endswith(("hall_loss", "slip", "pulse_loss"))
+    return PlantFault(
+        begin, end if lasting else None, may_move=may_move, by_hand=by_hand, may_lose_counts=may_lose_counts
+    )
 
 
 def _unplugged_fault(device: str) -> PlantFault:
@@ -77,7 +79,7 @@ def _unplugged_fault(device: str) -> PlantFault:
 
 async def _restart_unit(mount: PlantTracker, _value: Value, *, keep_position: bool) -> None:
     """Switch the unit off and on: its USB is gone for a second."""
-    assert isinstance(mount.unit, Sleepless)  # noqa: S101 - narrowing; it is no fault of a rotator
+    assert isinstance(mount.unit, SleeplessUnit)  # noqa: S101 - narrowing; it is no fault of a rotator
     mount.plug(up=False)
     mount.unit.power_cycle(mount.clock.monotonic(), keep_position=keep_position)
     await asyncio.sleep(1.0)
@@ -97,7 +99,7 @@ def _repair(mount: PlantTracker, _value: Value, *, name: str) -> None:
 
 
 def _lose(mount: PlantTracker, _value: Value, *, is_gone: bool) -> None:
-    mount.lose(is_gone=is_gone)
+    mount.set_rotator_gone(is_gone=is_gone)
 
 
 def _wind(plant: Plant, value: Value) -> None:
@@ -172,12 +174,12 @@ class _Bridge:
 
 
 def _call_when_renewed(plant: Plant) -> None:
-    plant.when_renewed()
+    plant.on_new_process()
 
 
 def _disturb_bridge(plant: Plant, value: Value, *, kind: str) -> None:
     # The network's fault goes on when the process ends and another one begins.
-    plant.when_renewed = partial(_disturb_bridge, plant, value, kind=kind)
+    plant.on_new_process = partial(_disturb_bridge, plant, value, kind=kind)
     sender: object = plant.service.sender
     if sender is None:
         # The sender opens a moment after the service has begun. By then the network may be right again.
@@ -187,7 +189,7 @@ def _disturb_bridge(plant: Plant, value: Value, *, kind: str) -> None:
 
 
 def _set_bridge_right(plant: Plant, _value: Value) -> None:
-    plant.when_renewed = nothing
+    plant.on_new_process = no_op
     sender: object = plant.service.sender
     if isinstance(sender, _Bridge):
         plant.service.sender = sender.kept
@@ -241,9 +243,9 @@ def _suspend(plant: Plant, value: Value) -> None:
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; no plant has another
     loop.skip(value[0])
-    plant.stood_still_s = plant.clock.monotonic()
+    plant.resumed_s = plant.clock.monotonic()
     for mount in plant.mounts:
-        mount.witness.link_changes()
+        mount.witness.note_link_change()
 
 
 def _sleep(plant: Plant, value: Value) -> None:
@@ -259,31 +261,31 @@ async def _end(plant: Plant, _value: Value) -> None:
 
 
 def _replace_process(plant: Plant, _value: Value) -> None:
-    plant.renew()
+    plant.start_new_process()
 
 
 _AXIS_LASTING = ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_targets")
 _AXIS_AT_ONCE = ("overcurrent", "pulse_loss", "destination", "slip")
-PROCESS = ("kill", "kill_torn", "end")
+PROCESS_FAULTS = ("kill", "kill_torn", "end")
 """Faults that end the process and start another one."""
 
 FAULTS: dict[str, PlantFault] = {
     "unplug_positioner": PlantFault(
         lambda mount, _value: mount.plug(up=False), lambda mount, _value: mount.plug(up=True)
     ),
-    **{f"unplug_{device}": _unplugged_fault(device) for device in PLUGGED},
+    **{f"unplug_{device}": _unplugged_fault(device) for device in PLUGGABLE_DEVICES},
     "deaf": _injected_fault("deaf", lasting=True),
     "positioner_silent": PlantFault(partial(_silence, silent=True), partial(_silence, silent=False)),
     GONE: PlantFault(partial(_lose, is_gone=True), partial(_lose, is_gone=False)),
     STOPLESS: PlantFault(partial(_inject, name=STOPLESS), partial(_repair, name=STOPLESS)),
     "undervoltage": _injected_fault("undervoltage", lasting=True),
-    "own_tracking": _injected_fault("own_tracking", lasting=True, moves=True),
-    "slave_mode": _injected_fault("slave_mode", lasting=True, moves=True),
+    "own_tracking": _injected_fault("own_tracking", lasting=True, may_move=True),
+    "slave_mode": _injected_fault("slave_mode", lasting=True, may_move=True),
     "slave_standby": _injected_fault("slave_standby", lasting=True),
-    "re_reference": _injected_fault("re_reference", lasting=False, moves=True),
+    "re_reference": _injected_fault("re_reference", lasting=False, may_move=True),
     **{name: _injected_fault(name, lasting=True, by_hand=True) for name in ("button", "button_in", "buttons_both")},
-    "unit_wind": _injected_fault("wind", lasting=True, moves=True),
-    "unit_snow": _injected_fault("snow", lasting=True, moves=True),
+    "unit_wind": _injected_fault("wind", lasting=True, may_move=True),
+    "unit_snow": _injected_fault("snow", lasting=True, may_move=True),
     **{f"{axis}_{kind}": _injected_fault(f"{axis}_{kind}", lasting=True) for axis in "ab" for kind in _AXIS_LASTING},
     **{f"{axis}_{kind}": _injected_fault(f"{axis}_{kind}", lasting=False) for axis in "ab" for kind in _AXIS_AT_ONCE},
     "reset_position_kept": PlantFault(partial(_restart_unit, keep_position=True)),
@@ -326,7 +328,7 @@ FAULTS: dict[str, PlantFault] = {
     "end": _shared_fault(_end, _replace_process),
 }
 """Every fault that a schedule may name."""
-OF_A_ROTATOR = frozenset(
+ROTATOR_PLANT_FAULTS = frozenset(
     (
         "unplug_positioner",
         "positioner_silent",
@@ -334,7 +336,7 @@ OF_A_ROTATOR = frozenset(
         GONE,
         STOPLESS,
         SENT_AWAY,
-        *(name for name, fault in FAULTS.items() if fault.of_all),
+        *(name for name, fault in FAULTS.items() if fault.is_shared),
     )
 )
 """The faults that a rotator behind rotctld can have."""

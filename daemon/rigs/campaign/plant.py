@@ -8,16 +8,16 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from daemon.base.records import Bus, Event, Mode, ModeChange, Move, Record, Scan, concerns
+from daemon.base.records import Bus, Event, Mode, ModeChange, Move, Record, Scan, is_relevant_to
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.rigs.campaign.disk import Disk
-from daemon.rigs.campaign.rig import HandledRig, HandWeather, SteppingClock
+from daemon.rigs.campaign.rig import InMemoryRig, ManualWeather, SteppingClock
 from daemon.rigs.campaign.rotator import GONE, RotatorTap, SleeplessRotator, build_rotator_driver
-from daemon.rigs.campaign.taps import DriverTap, PozsolTap, Sleepless, UnitTap, Witness
-from daemon.rigs.simulated_positioner import as_built
+from daemon.rigs.campaign.taps import DriverTap, PozsolTap, SleeplessUnit, UnitTap, Witness
+from daemon.rigs.simulated_positioner import configured_setup
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.tracker.control import Control
@@ -29,9 +29,9 @@ from sim_drivers.transports import InMemoryStream
 from solar.frames import Angles
 
 HOMED = "homing finished"
-PLUGGED = ("multiplexer", "voltmeter")
+PLUGGABLE_DEVICES = ("multiplexer", "voltmeter")
 ROTCTLD = "rotctld"
-UNIT_GOES_TO = Angles(35.0, 30.0)
+UNIT_OWN_TARGET = Angles(35.0, 30.0)
 """Where the unit's own tracking and its stow modes drive, far from what the service ever asks for by itself."""
 _WRITE_S = 0.004
 """As long as a write to a real port through its thread takes: other events can happen while a packet is on its way."""
@@ -39,7 +39,7 @@ _MOST_MM_PER_DEG = 5.0
 """Most millimetres that an actuator extends for a degree; for a unit that counts degrees it is more than enough."""
 
 
-def nothing() -> None:
+def no_op() -> None:
     """Do nothing."""
 
 
@@ -63,7 +63,7 @@ class PlantTracker:
         Whether its cable is in; whether the unit sends nothing although it is in; whether rotctld has lost the rotator.
     records
         Those of the plant's records that concern this tracker or no tracker.
-    called
+    text_prefix
         Stands before each sentence on this tracker if there are several; empty for a single one.
     """
 
@@ -74,12 +74,12 @@ class PlantTracker:
         self.plugged = True
         self.is_silent = self.is_gone = False
         self.records: list[Record] = []
-        self.unit: Sleepless | SleeplessRotator
+        self.unit: SleeplessUnit | SleeplessRotator
         self.line: UnitTap | RotatorTap
         self.name, self.settings = plant.settings.trackers[place]
-        self.called = f"{self.name}: " if plant.settings.tracker else ""
+        self.text_prefix = f"{self.name}: " if plant.settings.tracker else ""
 
-    def drive(
+    def build_driver(
         self, unit: PositionerCore, settings: Settings, build: Callable[[PositionerCore, Settings], Positioner]
     ) -> Positioner:
         """Return the unit's driver, with a tap on either side of it."""
@@ -88,7 +88,7 @@ class PlantTracker:
             self.unit, self.line = rotator, (tap := RotatorTap(rotator, self.clock, self.witness))
             self.plant.cables.positioners.append(tap)
             return DriverTap(build_rotator_driver(rotator, tap, settings, self.clock), tap, self.witness)
-        self.unit = Sleepless(unit, self.clock.slept_too)
+        self.unit = SleeplessUnit(unit, self.clock.world_time_s)
         self.line = UnitTap(self.unit, self.witness)
         driver = build(self.line, settings)  # type: ignore[arg-type] # it passes for the unit
         assert isinstance(driver, PozsolPositioner)  # noqa: S101 - narrowing
@@ -186,25 +186,25 @@ class PlantTracker:
             for record in self.records
         )
 
-    def lay(self) -> None:
+    def restore_cable(self) -> None:
         """Put a new cable in the state of the one before."""
         self._cable.link_up, self._cable.silent, self._cable.write_s = self.plugged, self.is_silent, _WRITE_S
 
     def plug(self, *, up: bool) -> None:
         """Pull its cable, or put it back."""
         self.plugged = self._cable.link_up = up
-        self.witness.link_changes()
+        self.witness.note_link_change()
 
     def silence(self, *, silent: bool) -> None:
         """Let the unit send nothing any more, or let it be heard again."""
         self.is_silent = self._cable.silent = silent
-        self.witness.link_changes()
+        self.witness.note_link_change()
 
-    def lose(self, *, is_gone: bool) -> None:
+    def set_rotator_gone(self, *, is_gone: bool) -> None:
         """Let rotctld lose its rotator, or reach it again."""
         self.is_gone = is_gone
         (self.unit.inject if is_gone else self.unit.repair)(GONE, self.clock.monotonic())
-        self.witness.link_changes()
+        self.witness.note_link_change()
 
     @property
     def _cable(self) -> InMemoryStream | RotatorTap:
@@ -212,13 +212,13 @@ class PlantTracker:
         return cable
 
 
-class Plant(HandledRig):
+class Plant(InMemoryRig):
     """The instruments, and the service that runs on them at present.
 
     Parameters
     ----------
     loop, settings, start, weather, setup
-        As for `HandledRig`.
+        As for `InMemoryRig`.
     witnesses
         One for each tracker, which is told of its orders and its plug, and of services.
 
@@ -234,7 +234,7 @@ class Plant(HandledRig):
         Set while a service is there; one that is just ending is not.
     served_since_s
         When the present service began.
-    stood_still_s
+    resumed_s
         When a service that stood still last went on.
     wind_silent_since_s
         When the wind sensor fell silent last.
@@ -242,7 +242,7 @@ class Plant(HandledRig):
         The disk that the service writes to.
     commands
         Tasks of persons' commands that are under way; they die with the service.
-    when_renewed
+    on_new_process
         Called for each new service before it runs, to apply a fault that lasts outside of the process.
     """
 
@@ -251,19 +251,19 @@ class Plant(HandledRig):
         loop: VirtualTimeLoop,
         settings: Settings,
         start: datetime,
-        weather: HandWeather,
+        weather: ManualWeather,
         setup: Setup,
         witnesses: Sequence[Witness],
     ) -> None:
-        self.plugged = dict.fromkeys(PLUGGED, True)
+        self.plugged = dict.fromkeys(PLUGGABLE_DEVICES, True)
         self.settings = settings
         self.mounts = [PlantTracker(self, place, witness) for place, witness in enumerate(witnesses)]
         self.served = asyncio.Event()
         self.served_since_s = math.inf
-        self.stood_still_s = -math.inf
+        self.resumed_s = -math.inf
         self.wind_silent_since_s = -math.inf
         self.commands: set[asyncio.Task[None]] = set()
-        self.when_renewed = nothing
+        self.on_new_process = no_op
         self._serving: asyncio.Task[None] | None = None
         self._stop = asyncio.Event()
         self.disk = Disk()
@@ -282,19 +282,19 @@ class Plant(HandledRig):
         for device, up in self.plugged.items():
             getattr(self.cables, device).link_up = up
         for mount in self.mounts:
-            mount.lay()
+            mount.restore_cable()
 
     def build_unit(self, settings: Settings, setup: Setup | None) -> PositionerCore:
         """Return the simulated unit of a tracker, or its rotator."""
         if settings.instruments.positioner.driver == ROTCTLD:
-            return SleeplessRotator(settings, self.clock, UNIT_GOES_TO)  # type: ignore[return-value] # it passes for one
-        return super().build_unit(settings, setup and as_built(settings, setup))
+            return SleeplessRotator(settings, self.clock, UNIT_OWN_TARGET)  # type: ignore[return-value] # it passes for one
+        return super().build_unit(settings, setup and configured_setup(settings, setup))
 
-    def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
+    def build_driver(self, unit: PositionerCore, settings: Settings) -> Positioner:
         """Return the driver of the next unit, with a tap on either side of it."""
-        return self.mounts[len(self.cables.positioners)].drive(unit, settings, super().drive)
+        return self.mounts[len(self.cables.positioners)].build_driver(unit, settings, super().build_driver)
 
-    def keep_in(self, directory: Path | None) -> StateFolder:
+    def make_state_folder(self, directory: Path | None) -> StateFolder:
         """Return the folder of the files that a service keeps, on a disk that can be full."""
         return StateFolder(directory, replace=self.disk.replace, reserve=self.disk.reserve)
 
@@ -303,10 +303,10 @@ class Plant(HandledRig):
         if isinstance(record, Event | Move | ModeChange):
             self.records.append(record)
             for mount in self.mounts:
-                if concerns(record, mount.name):
+                if is_relevant_to(record, mount.name):
                     mount.records.append(record)
         elif isinstance(record, Scan):
-            self.mounts[0].witness.scan(record)
+            self.mounts[0].witness.note_scan(record)
 
     @property
     def is_served(self) -> bool:
@@ -317,7 +317,7 @@ class Plant(HandledRig):
         """Let the machine sleep for `lasts_s`, with its services, while the world goes on."""
         self.clock.slept_s += lasts_s
         for mount in self.mounts:
-            mount.witness.wakes(lasts_s)
+            mount.witness.note_wake_up(lasts_s)
 
     def kept_files(self) -> list[Path]:
         """Return the files that the service has kept for its next start."""
@@ -336,11 +336,11 @@ class Plant(HandledRig):
         self.served.set()
         self.served_since_s = self.clock.monotonic()
         for mount in self.mounts:
-            mount.witness.service_begins()
+            mount.witness.note_service_start()
 
     def _report_unexpected_end(self, task: "asyncio.Task[None]") -> None:
         if task is self._serving and not task.cancelled():
-            self.mounts[0].witness.fails("service-died", f"the service ended by itself: {task.exception()!r}")
+            self.mounts[0].witness.add_violation("service-died", f"the service ended by itself: {task.exception()!r}")
 
     async def kill(self) -> None:
         """Let the process die at once: it sends no more bytes and changes no file."""
@@ -367,13 +367,13 @@ class Plant(HandledRig):
         for mount in self.mounts:
             mount.line.dead = True
 
-    def renew(self) -> None:
+    def start_new_process(self) -> None:
         """Build and start a new process on the same instruments and files."""
         self.connect(self.settings)
         self.bus = Bus()
         self.bus.subscribe(self.note)
         self.service = self.serve(self.settings, Role.BOTH)
-        self.when_renewed()
+        self.on_new_process()
         self.start()
 
     async def _finish(self, serving: "asyncio.Task[None] | None", *, cancel: bool) -> None:
@@ -387,4 +387,4 @@ class Plant(HandledRig):
                 serving.cancel()
         for outcome in await asyncio.gather(*ending, return_exceptions=True):
             if isinstance(outcome, Exception):
-                self.mounts[0].witness.fails("service-died", f"the service did not end in order: {outcome!r}")
+                self.mounts[0].witness.add_violation("service-died", f"the service did not end in order: {outcome!r}")

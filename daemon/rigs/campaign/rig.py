@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus, Mode, Record
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
@@ -43,7 +43,7 @@ CALM_M_S = 3.0
 _FACES = 4
 
 
-class HandWeather:
+class ManualWeather:
     """Weather that is set by hand [W/m2]. The scene computes an hour ahead, so set it before the hour begins."""
 
     def __init__(self, dni: float = 700.0, dhi: float = 90.0) -> None:
@@ -80,7 +80,7 @@ class SteppingClock(LoopClock):
     step_s = 0.0
     slept_s = 0.0
 
-    def slept_too(self, monotonic_s: float) -> float:
+    def world_time_s(self, monotonic_s: float) -> float:
         """Return a monotonic time [s] plus all the time that the machine has slept."""
         return monotonic_s + self.slept_s
 
@@ -97,7 +97,7 @@ class SteppingClock(LoopClock):
         return super().utc() + self.slept_s
 
 
-class HandledRig:
+class InMemoryRig:
     """One service, its instruments, and everything it has published.
 
     Parameters
@@ -127,13 +127,13 @@ class HandledRig:
         Why the service has to hold its trackers from the start, or None.
     synchronised
         What the kernel says of the PC's clock; None: nothing.
-    begins_anew
+    has_fixed_start_pose
         Whether the place at which the positioner rested before tells nothing about where it is.
     """
 
     hold_why: str | None = None
-    begins_anew = False
-    clock_lasts = False
+    has_fixed_start_pose = False
+    has_persistent_clock = False
     synchronised: bool | None = None
 
     def __init__(
@@ -141,7 +141,7 @@ class HandledRig:
         loop: VirtualTimeLoop,
         settings: Settings,
         start: datetime,
-        weather: HandWeather,
+        weather: ManualWeather,
         role: Role,
         setup: Setup | None = None,
         polling: Polling = OFTEN,
@@ -178,7 +178,7 @@ class HandledRig:
         """Keep a record that was published."""
         self.records.append(record)
 
-    def keep_in(self, directory: Path | None) -> StateFolder:
+    def make_state_folder(self, directory: Path | None) -> StateFolder:
         """Return the folder of the files that a service keeps."""
         return StateFolder(directory)
 
@@ -193,11 +193,11 @@ class HandledRig:
         cables.positioners = []
         self.positioner: Positioner
         self.positioner, *self.others = (
-            self.drive(unit, named.settings) for unit, named in zip(self.units, settings.trackers, strict=True)
+            self.build_driver(unit, named.settings) for unit, named in zip(self.units, settings.trackers, strict=True)
         )
         cables.positioner, *cables.others = cables.positioners
 
-    def drive(self, unit: PositionerCore, settings: Settings) -> Positioner:
+    def build_driver(self, unit: PositionerCore, settings: Settings) -> Positioner:
         """Lay the cable of a unit, or of a tap that stands for it, and return the driver."""
         line = InMemoryStream(unit, self.clock.monotonic)
         self.cables.positioners.append(line)
@@ -214,22 +214,22 @@ class HandledRig:
                     TrackerInstruments(
                         self.positioner,
                         None if settings.load.driver == "none" else self.load,
-                        begins_anew=self.begins_anew,
+                        has_fixed_start_pose=self.has_fixed_start_pose,
                     ),
-                    *(TrackerInstruments(one, begins_anew=self.begins_anew) for one in self.others),
+                    *(TrackerInstruments(one, has_fixed_start_pose=self.has_fixed_start_pose) for one in self.others),
                 ),
                 lambda: self.wind_m_s,
                 simulated=True,
                 clock_synchronised=lambda: self.synchronised,
-                clock_lasts=self.clock_lasts,
+                has_persistent_clock=self.has_persistent_clock,
             ),
             self.clock,
             Random(1),  # noqa: S311 - jitter
             self.bus,
             KEY,
-            Notifier({}, 0),
+            SystemdNotifier({}, 0),
             polling=self.polling,
-            kept_in=self.keep_in,
+            kept_in=self.make_state_folder,
             hold_why=self.hold_why,
         )
 

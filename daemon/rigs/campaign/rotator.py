@@ -43,9 +43,9 @@ class SleeplessRotator:
         assert isinstance(own, RotctldSettings)  # noqa: S101 - narrowing; the plant has set it
         self.own = own
         self.core = build_rotator(settings, own, clock)
-        self.core.turns = turns = replace(self.core.turns, speed_deg_per_s=_SPEED_DEG_PER_S)
+        self.core.rotator_range = turns = replace(self.core.rotator_range, speed_deg_per_s=_SPEED_DEG_PER_S)
         self._truth = rotator_truth(self.core, settings)
-        self._world_time_s = clock.slept_too
+        self._world_time_s = clock.world_time_s
         ranges = (turns.azimuth_min_deg, turns.azimuth_max_deg, turns.elevation_min_deg, turns.elevation_max_deg)
         mount = Mount(*ranges, equator_azimuth_deg(settings.site.latitude_deg))
         self._away_axes_deg = mount.place(sent_to.a_deg, sent_to.b_deg)
@@ -68,21 +68,21 @@ class SleeplessRotator:
         destination = self.core.destination()
         return hash((destination, self.core.position(self._world_time_s(now)) == destination))
 
-    def course(self, name: AxisName, now: float) -> tuple[float, float]:
+    def position_and_destination(self, name: AxisName, now: float) -> tuple[float, float]:
         """Return position and destination [deg] of an axis."""
         at = 0 if name == "a" else 1
         return self.core.position(self._world_time_s(now))[at], self.core.destination()[at]
 
     def shown_deg(self, name: AxisName, now: float) -> float:
         """Return the angle [deg] that it shows for an axis."""
-        return self.course(name, now)[0]
+        return self.position_and_destination(name, now)[0]
 
     def inject(self, fault: str, now: float) -> None:
         """Cause a fault."""
         if fault in (DEAF, GONE, STOPLESS):
             self.core.faults.add(fault)
         elif fault == SENT_AWAY:
-            self.core.order(*self._away_axes_deg, self._world_time_s(now))
+            self.core.set_target(*self._away_axes_deg, self._world_time_s(now))
         else:
             raise ValueError(f"a rotator has no fault {fault!r}")
 
@@ -114,7 +114,7 @@ class RotatorTap(InMemoryRotctld):
     """
 
     def __init__(self, rotator: SleeplessRotator, clock: SteppingClock, witness: Witness) -> None:
-        super().__init__(rotator.core, lambda: clock.slept_too(clock.monotonic()))
+        super().__init__(rotator.core, lambda: clock.world_time_s(clock.monotonic()))
         self._clock = clock
         self._witness = witness
         self.dead = False
@@ -139,7 +139,7 @@ class RotatorTap(InMemoryRotctld):
         if self.dead:
             await asyncio.sleep(math.inf)
         if not (self.frozen or GONE in self._core.faults):
-            self._witness.packet(command, self._clock.monotonic())
+            self._witness.note_packet(command, self._clock.monotonic())
         reply = await super().ask(command, within_s)
         if self.write_s:
             await asyncio.sleep(0.5 * self.write_s)

@@ -14,45 +14,45 @@ from solar.frames import Angles
 class Witness(Protocol):
     """Is told of orders, services and plugs, and keeps the promises that were broken."""
 
-    def fails(self, promise: str, text: str) -> None:
+    def add_violation(self, promise: str, text: str) -> None:
         """Take note of a broken promise."""
 
-    def packet(self, data: bytes, now_s: float) -> None:
+    def note_packet(self, data: bytes, now_s: float) -> None:
         """Take note of a packet that reaches the unit."""
 
     def sending(self, target: tuple[float, float]) -> AbstractContextManager[None]:
         """Watch a target [deg] while the driver sends and confirms it."""
 
-    def homes(self, axis: AxisName) -> None:
+    def note_homing(self, axis: AxisName) -> None:
         """Take note that a reference run is ordered."""
 
-    def link_changes(self) -> None:
+    def note_link_change(self) -> None:
         """Take note that a plug was pulled or put back."""
 
-    def wakes(self, slept_s: float) -> None:
+    def note_wake_up(self, slept_s: float) -> None:
         """Take note that the machine has slept for `slept_s`."""
 
-    def service_begins(self) -> None:
+    def note_service_start(self) -> None:
         """Take note that a new process is there."""
 
-    def scan(self, scan: Scan) -> None:
+    def note_scan(self, scan: Scan) -> None:
         """Take note of a scan that the service has accepted."""
 
 
-class Sleepless:
+class SleeplessUnit:
     """A `PositionerCore` that goes on while the machine sleeps; its methods take the machine's monotonic time.
 
     Parameters
     ----------
     core
         The simulated unit.
-    slept_too
+    world_time_s
         Adds to a monotonic time [s] the time that the machine has slept.
     """
 
-    def __init__(self, core: PositionerCore, slept_too: Callable[[float], float]) -> None:
+    def __init__(self, core: PositionerCore, world_time_s: Callable[[float], float]) -> None:
         self._core = core
-        self._world_time_s = slept_too
+        self._world_time_s = world_time_s
 
     def feed(self, data: bytes, now: float) -> None:
         """Take in bytes from the host."""
@@ -85,9 +85,9 @@ class Sleepless:
         """Return how often anything has changed so far."""
         return self._core.changes(self._world_time_s(now))
 
-    def course(self, name: AxisName, now: float) -> tuple[float, float]:
+    def position_and_destination(self, name: AxisName, now: float) -> tuple[float, float]:
         """Return position and destination of an axis."""
-        return self._core.course(name, self._world_time_s(now))
+        return self._core.position_and_destination(name, self._world_time_s(now))
 
     def shown_deg(self, name: AxisName, now: float) -> float:
         """Return the angle [deg] that the unit shows for an axis."""
@@ -117,7 +117,7 @@ class UnitTap:
         Notes every packet.
     """
 
-    def __init__(self, unit: Sleepless, witness: Witness) -> None:
+    def __init__(self, unit: SleeplessUnit, witness: Witness) -> None:
         self._unit = unit
         self._witness = witness
         self.live_screens = unit.live_screens
@@ -128,7 +128,7 @@ class UnitTap:
     def feed(self, data: bytes, now: float) -> None:
         """Hand bytes to the unit."""
         if not self.dead:
-            self._witness.packet(data, now)
+            self._witness.note_packet(data, now)
             self._unit.feed(data, now)
 
 
@@ -168,7 +168,7 @@ class DriverTap:
     async def home(self, axis: AxisName) -> None:
         """Begin a reference run; see the driver."""
         if not self._line.dead:
-            self._witness.homes(axis)
+            self._witness.note_homing(axis)
         await self._driver.home(axis)
 
 

@@ -9,7 +9,7 @@ from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings
 from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings, span_text
 from solar.agreement import Agreement, agreement
-from solar.calibration.comparison import Interval, SeriesGain, fitted_offset, lag_s, series_gain
+from solar.calibration.comparison import ConfidenceInterval, SeriesGain, fitted_offset, lag_s, series_gain
 from solar.calibration.selection import block_means, clear_and_stable, night_offset
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
@@ -36,7 +36,7 @@ class FaceResult:
     """
 
     series: SeriesGain
-    offset_mv: Interval
+    offset_mv: ConfidenceInterval
     gain_uncertainty_percent: float
     before: Agreement
     after: Agreement
@@ -135,7 +135,7 @@ def compare(
     minute, ghi, mv = minute[clear], ghi[clear], mv[clear]
     faces = {}
     for place, name in enumerate(FACES):
-        offset = Interval(float(dark[place]), float(_NORMAL_QUANTILE * dark_error[place])) if nights else None
+        offset = ConfidenceInterval(float(dark[place]), float(_NORMAL_QUANTILE * dark_error[place])) if nights else None
         faces[name] = _face(
             name,
             minute,
@@ -201,7 +201,7 @@ def _face(
     utc_s: Array,
     ghi: Array,
     mv: Array,
-    offset: Interval | None,
+    offset: ConfidenceInterval | None,
     old_gain: float,
     old_offset: float,
     reference_uncertainty_percent: float,

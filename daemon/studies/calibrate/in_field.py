@@ -8,12 +8,12 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.studies.calibrate.beside import MEAN_S, values_at, zero_of
 from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings, span_text
 from daemon.studies.calibrate.request import CubeSetup
 from solar.calibration.in_place import FieldCalibration, UndeterminedError, calibrate_in_place
-from solar.calibration.level import Level, Tie
+from solar.calibration.level import KnownResponse, LevelReference
 from solar.calibration.selection import block_means, night_offset
 from solar.ephemeris import Site
 from solar.frames import Array
@@ -113,7 +113,7 @@ def calibrate_field(
     whole = np.isfinite(faces).all(axis=-1)
     if whole.sum() < _LEAST_READINGS:
         raise UserError(
-            f"{readings.source} has {counted(int(whole.sum()), 'instant')} at which all four faces were read;"
+            f"{readings.source} has {pluralise(int(whole.sum()), 'instant')} at which all four faces were read;"
             " calibration in place needs several clear days"
         )
     utc_s, faces = readings.utc_s[whole], faces[whole]
@@ -143,10 +143,10 @@ def calibrate_field(
     )
 
 
-def _level(sources: LevelSources, utc_s: Array, site: Site) -> Level:
+def _level(sources: LevelSources, utc_s: Array, site: Site) -> LevelReference:
     """Return the level for readings at these instants; raises `UserError` if the GHI covers none of them."""
     east, south, west, zenith = (
-        Tie(1.0, sources.referenced[face] / 200.0) if face in sources.referenced else None for face in FACES
+        KnownResponse(1.0, sources.referenced[face] / 200.0) if face in sources.referenced else None for face in FACES
     )
     ghi, step_s = None, MEAN_S
     if sources.ghi is not None:
@@ -158,4 +158,4 @@ def _level(sources: LevelSources, utc_s: Array, site: Site) -> Level:
                 f"{span_text(utc_s)}; check the file and that its times are UTC"
             )
         step_s = float(np.median(np.diff(sources.ghi.utc_s)))
-    return Level((east, south, west, zenith), ghi, sources.ghi_uncertainty_percent / 200.0, step_s)
+    return LevelReference((east, south, west, zenith), ghi, sources.ghi_uncertainty_percent / 200.0, step_s)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from daemon.studies.calibrate.beside import Comparison
 from daemon.studies.picture_file import save_picture
-from daemon.studies.stamp import stamped
+from daemon.studies.stamp import stamp_simulated
 
 # Okabe & Ito's colours, which the colour-blind can tell apart.
 _BEFORE, _AFTER, _LINE = "#D55E00", "#0072B2", "#555555"
@@ -51,4 +51,4 @@ def comparison_figure(found: Comparison, *, simulated: bool) -> Figure:
     figure.legend(*axes[0][0].get_legend_handles_labels(), markerscale=3.0, loc="outside lower center", ncols=2)
     for panel, label in zip(axes[-1], ("reference [W/m2]", "time [UTC]", "angle of incidence [deg]"), strict=True):
         panel.set_xlabel(label)
-    return stamped(figure, simulated)
+    return stamp_simulated(figure, simulated)

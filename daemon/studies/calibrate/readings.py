@@ -16,18 +16,18 @@ from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.store.schema import FILE_NAME, columns_of, open_for_reading
-from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
+from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8_error
 from daemon.studies.recorded import stored_faces
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2
 from solar.tables import (
-    NO_READING,
+    MISSING_VALUES,
     broken_line,
+    read_error_text,
     second_header_hint,
     summer_time_hint,
     unreadable,
     utc_times,
-    why_unread,
     zone_note,
 )
 
@@ -175,11 +175,11 @@ def _table(path: Path, columns: str) -> tuple[pd.DataFrame, Array, str]:
     except pd.errors.EmptyDataError:
         raise UserError(f"{path} is empty: name a CSV file with the columns {columns}") from None
     except UnicodeDecodeError:
-        raise not_utf8(path) from None
+        raise not_utf8_error(path) from None
     except pd.errors.ParserError as error:
         raise UserError(unreadable(path, separator, error)) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
-        raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
+        raise UserError(f"{path} cannot be read: {read_error_text(error)}") from None
     frame.columns = pd.Index([str(name).strip().lower() for name in frame.columns])
     if "time" not in frame:
         raise UserError(f"{path} has no column time; found: {', '.join(map(str, frame.columns))}")
@@ -240,7 +240,7 @@ def _possible_values(path: Path, frame: pd.DataFrame, names: Sequence[str]) -> t
 
 def _numbers(path: Path, column: "pd.Series[str]") -> Array:
     text = column.str.strip()
-    missing = text.str.lower().isin(NO_READING).to_numpy()
+    missing = text.str.lower().isin(MISSING_VALUES).to_numpy()
     numbers = pd.to_numeric(text.mask(missing, ""), errors="coerce").to_numpy(dtype=np.float64)
     bad = np.flatnonzero(~missing & ~np.isfinite(numbers))
     if bad.size:

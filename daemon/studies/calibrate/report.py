@@ -18,7 +18,7 @@ from solar.frames import azimuth_from_direction
 
 # Largest share left unexplained: under a simulated sky the right model leaves 0.1 % at most, a wrong one 0.3 %.
 _DOUBTFUL = 0.002
-DOUBT = "Doubtful: "
+DOUBT_PREFIX = "Doubtful: "
 """Begins the line of a result that nobody should use before it has been checked."""
 # The order of the paper's Table 1.
 _TABLE_ORDER = ("zenith", "west", "south", "east")
@@ -30,7 +30,7 @@ _ROWS = (
 )
 
 
-def marked(lines: list[str], *, simulated: bool) -> list[str]:
+def with_simulation_mark(lines: list[str], *, simulated: bool) -> list[str]:
     """Return the lines, below a mark if they are `simulated`: the calibration file has them as well."""
     mark = "SIMULATED: these readings come from a model or a bench, not from a cube."
     return [mark, *lines] if simulated else lines
@@ -75,7 +75,7 @@ def comparison_lines(found: Comparison) -> list[str]:
         lines += ["", *_aligned(table)]
     if strayed := _sensors_in_doubt(found):
         told = (
-            f"{DOUBT}most of the series of {', '.join(strayed)} were dropped, and the rest may agree by chance; "
+            f"{DOUBT_PREFIX}most of the series of {', '.join(strayed)} were dropped, and the rest may agree by chance; "
             "check that all times are UTC, the lag of the clocks (--lag), and that all lie level."
         )
         lines += ["", told]
@@ -87,7 +87,7 @@ def _sensors_in_doubt(found: Comparison) -> list[str]:
     return [name for name, face in found.faces.items() if face.series.kept.mean() < 0.5]
 
 
-def comparison_page(found: Comparison) -> dict[str, Any]:
+def comparison_dict(found: Comparison) -> dict[str, Any]:
     """Return, for scripts, what the calibration file lacks: agreement before and after, and the data behind it."""
     return {
         "clear_minutes": int(found.utc_s.size),
@@ -101,7 +101,7 @@ def comparison_page(found: Comparison) -> dict[str, Any]:
     }
 
 
-def field_page(found: FieldResult, made_on: CubeSetup) -> dict[str, Any]:
+def field_dict(found: FieldResult, made_on: CubeSetup) -> dict[str, Any]:
     """Return, for scripts, what the calibration file lacks: how the cube stands, and how well the sky explains it."""
     return {
         "days": found.fit.days,
@@ -146,19 +146,19 @@ def field_lines(found: FieldResult, made_on: CubeSetup, sky: str) -> list[str]:
         f"Uncertainties (U, +-) are expanded, k = 2. {_level_line(found)}",
     ]
     lines += [
-        f"{DOUBT}{clause}; check each certificate, its serial number and its gain in the configuration, or leave "
-        "one out."
+        f"{DOUBT_PREFIX}{clause}; check each certificate, its serial number and its gain in the configuration, or "
+        "leave one out."
         for clause in found.contradictions
     ]
     if not fit.shape.residual <= _DOUBTFUL:
         lines.append(
-            f"{DOUBT}with the right sky, less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and look "
-            "for shade on a face."
+            f"{DOUBT_PREFIX}with the right sky, less than {_DOUBTFUL:.1%} is left unexplained; try another --sky, and "
+            "look for shade on a face."
         )
     if sky == "perez1990" and not 0.5 <= fit.shape.horizon <= 1.5:
         lines.append(
-            f"{DOUBT}the readings fit best with {fit.shape.horizon:z.1f} of the Perez model's horizon band, where 1 is"
-            " right; try --sky haydavies, and trust vertical gains and albedo only if both agree."
+            f"{DOUBT_PREFIX}the readings fit best with {fit.shape.horizon:z.1f} of the Perez model's horizon band,"
+            " where 1 is right; try --sky haydavies, and trust vertical gains and albedo only if both agree."
         )
     return lines
 

@@ -38,7 +38,7 @@ class CubeSetup:
     calibration: CubeCalibration | None
 
 
-def rig(config: Path | None, site: str | None) -> CubeSetup:
+def load_cube_setup(config: Path | None, site: str | None) -> CubeSetup:
     """Return site and gains: those of a configuration, of --site, or the built-in ones; raises `UserError`."""
     settings = Settings() if config is None else load_settings(config)
     if site is not None:
@@ -117,7 +117,7 @@ def referenced(given: list[str]) -> dict[str, float]:
     return found
 
 
-def check_before(out: Path, plot: Path | None, *, force: bool) -> None:
+def check_output_paths(out: Path, plot: Path | None, *, force: bool) -> None:
     """Refuse, before a long evaluation, files that could not be written after it; raises `UserError`.
 
     No option overwrites a calibration: records made with it refer to it by name.

@@ -6,7 +6,7 @@ from pathlib import Path
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file
 from daemon.studies.campaign.many import CampaignSummary, run_many
-from daemon.studies.campaign.reduce import reduce
+from daemon.studies.campaign.reduce import reduce_schedule
 from daemon.studies.campaign.run import CampaignOutcome
 from daemon.studies.campaign.schedule import Schedule
 from daemon.studies.spread.workers import Workers
@@ -14,7 +14,7 @@ from daemon.studies.spread.workers import Workers
 _BROKEN, _INTERRUPTED = 1, 130
 
 
-class Attack:
+class Campaign:
     """Carries out the schedules of a campaign and says what they show.
 
     Parameters
@@ -66,8 +66,8 @@ class Attack:
         left = len(self._schedules) - summary.done
         if left:
             self._say(f"ended before {left} more")
-            if summary.lost is not None:
-                raise summary.lost
+            if summary.workers_error is not None:
+                raise summary.workers_error
         else:
             self._reduce_all(sorted(summary.failed, key=_seed))
         if summary.failed:
@@ -99,7 +99,7 @@ class Attack:
 
     def _reduce(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
         first = outcome.violations[0]
-        reduced = reduce(schedule, {first.promise}, first.at_s)
+        reduced = reduce_schedule(schedule, {first.promise}, first.at_s)
         path = self._write(reduced)
         self._say(f"reduced to {len(reduced.events)} events, heliocube campaign --schedule {path}:")
         self._say(reduced.text())

@@ -16,7 +16,7 @@ MOVES_OF_AN_HOUR = 70
 MOVES_OF_AN_EVENT = 6
 WARM_AFTER_S = 3600.0
 """By then the windows of laws and judgements are full, and modules that are imported on first use are there."""
-MOST_MORE = 2_000
+MOST_NEW_OBJECTS = 2_000
 """Objects, and items in queues, of each tracker: less than two for each minute of a day."""
 # Not lists: the simulated sky keeps its numbers there, some hours at a time. A table of numbers alone gc does not list.
 _CONTAINERS = frozenset((dict, set, deque))
@@ -33,7 +33,7 @@ class LogLine(NamedTuple):
     text: str
 
 
-class Bounded(logging.Handler):
+class GrowthCheck(logging.Handler):
     """Keeps the service's log lines with their time, and compares lines, moves and memory with what happened.
 
     Parameters
@@ -53,7 +53,7 @@ class Bounded(logging.Handler):
         self.lines: list[LogLine] = []
         self._objects_when_warm: int | None = None
 
-    def warm(self, records: Sequence[Record]) -> None:
+    def note_memory_baseline(self, records: Sequence[Record]) -> None:
         """Count what is in memory, to be compared with at the end."""
         self._objects_when_warm = self._count_objects(records)
 
@@ -82,7 +82,7 @@ class Bounded(logging.Handler):
     def _check_memory(self, schedule: Schedule, records: Sequence[Record], fails: Callable[[str, str], None]) -> None:
         if self._objects_when_warm is None:
             return
-        more, allowed = self._count_objects(records) - self._objects_when_warm, schedule.trackers * MOST_MORE
+        more, allowed = self._count_objects(records) - self._objects_when_warm, schedule.trackers * MOST_NEW_OBJECTS
         if more > allowed:
             fails("leak", f"{more} more objects and items in memory than after the first hour, {allowed} allowed")
 

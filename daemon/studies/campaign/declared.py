@@ -6,7 +6,7 @@ until silence is a loss, 60 s without good readings until fallback, 10 min until
 
 from daemon.base.records import Mode
 from daemon.rigs.campaign.faults import FAULTS
-from daemon.studies.campaign.draw import ROTATOR_SPANS
+from daemon.studies.campaign.draw import ROTATOR_FAULT_SPANS
 from daemon.studies.campaign.drills import FALLBACK, FAULT, HOLD, STOW, Drill, Phase
 
 _SHORT_S, _OUTAGE_S, _DARK_S = 10.0, 70.0, 400.0
@@ -80,7 +80,7 @@ _ROWS: tuple[_Row, ...] = (
     ("machine_sleeps", (900.0,), 0.0, _GOES_ON, 0.0, _BY_ITSELF, _AT_ONCE_S, _BOTH),
 )  # fmt: skip
 
-UNSEEN = {
+REASONS_WITHOUT_DRILL = {
     "switch_line_stuck": "without a self-test input it shows only in daylight, when the faces contradict each other",
     "face_shaded": "a face that stays in the shade reads too little, as under a cloud; this shows only after days",
     "b_ignores_targets": "shows at the next move of B, as `a_ignores_targets` does at the next move of A",
@@ -91,7 +91,7 @@ UNSEEN = {
 """Faults that have no row, and why."""
 
 
-def declared() -> tuple[Drill, ...]:
+def declared_drills() -> tuple[Drill, ...]:
     """Return every drill, one for each fault and phase."""
     return tuple(
         Drill(
@@ -101,15 +101,15 @@ def declared() -> tuple[Drill, ...]:
             mode=mode,
             within_s=within_s,
             commands=commands,
-            back_s=back_s,
+            recovery_s=recovery_s,
             phase=phase,
-            positioner="rotctld" if fault in ROTATOR_SPANS else "pozsol",
+            positioner="rotctld" if fault in ROTATOR_FAULT_SPANS else "pozsol",
         )
-        for fault, value, lasts_s, mode, within_s, commands, back_s, phases in _ROWS
+        for fault, value, lasts_s, mode, within_s, commands, recovery_s, phases in _ROWS
         for phase in phases
     )
 
 
-def without_row() -> set[str]:
+def faults_without_drill() -> set[str]:
     """Return the faults that are in no drill."""
     return set(FAULTS) - {row[0] for row in _ROWS}

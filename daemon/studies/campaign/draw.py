@@ -11,11 +11,11 @@ from random import Random
 from typing import Literal
 
 from daemon.studies.campaign.habits import draw_settings
-from daemon.studies.campaign.schedule import MOST_TRACKERS, Happening, Schedule
+from daemon.studies.campaign.schedule import MOST_TRACKERS, Schedule, ScheduledEvent
 
 Span = tuple[float, float | None, float | None]
 
-SPANS: dict[str, Span] = {
+FAULT_SPANS: dict[str, Span] = {
     "unplug_positioner": (10, 0.05, 600),
     "unplug_multiplexer": (2, 0.1, 600),
     "unplug_voltmeter": (2, 0.1, 600),
@@ -78,7 +78,7 @@ SPANS: dict[str, Span] = {
     "disk_full": (3, 1, 900),
 }
 """Weight, shortest and longest time [s] of each fault, drawn evenly over its logarithm; None: over at once."""
-ROTATOR_SPANS: dict[str, Span] = {"gone": (6, 0.3, 600), "stopless": (3, 10, 3000)}
+ROTATOR_FAULT_SPANS: dict[str, Span] = {"gone": (6, 0.3, 600), "stopless": (3, 10, 3000)}
 """The same for faults that only a rotator behind rotctld can have."""
 COMMANDS: dict[str, float] = {
     "stop": 14, "stow": 6, "hold": 5, "goto": 8, "auto": 9, "home": 5, "clear": 6, "snow": 3, "maintenance": 3, "bad": 3
@@ -114,7 +114,7 @@ _SHARE_TO_ALL = 0.25
 _SHARE_RELEASES_TO_ALL = 0.6
 
 
-def draw(
+def draw_schedule(
     seed: int,
     hours: float,
     without: Collection[str] = (),
@@ -140,11 +140,11 @@ def draw(
         Driver of their positioners.
     """
     random = Random(seed)  # noqa: S311 - reproducibility is the point; nothing secret depends on it
-    every = {**SPANS, **ROTATOR_SPANS} if positioner == "rotctld" else SPANS
+    every = {**FAULT_SPANS, **ROTATOR_FAULT_SPANS} if positioner == "rotctld" else FAULT_SPANS
     spans = {name: span for name, span in every.items() if name not in without and (not only or name in only)}
     commands = {name: weight for name, weight in COMMANDS.items() if name not in without}
     pause_s = random.choice(_PAUSES_S)
-    events: list[Happening] = []
+    events: list[ScheduledEvent] = []
     now_s = 60.0 + random.uniform(0, 120)
     while now_s < hours * 3600 - _LEFT_AT_END_S:
         now_s = _episode(random, now_s, events, spans, commands) + random.expovariate(1 / pause_s)
@@ -167,18 +167,18 @@ def draw(
     )
 
 
-def _assign_trackers(trackers: int, seed: int, events: Sequence[Happening]) -> tuple[Happening, ...]:
+def _assign_trackers(trackers: int, seed: int, events: Sequence[ScheduledEvent]) -> tuple[ScheduledEvent, ...]:
     """Return the events, each of one tracker or of all."""
     if trackers == 1:
         return tuple(events)
     from daemon.rigs.campaign.faults import FAULTS  # noqa: PLC0415 - the whole service: one tracker does not wait for it
 
     random = Random(f"{seed} of {trackers}")  # noqa: S311 - as above
-    shared = {name for name, fault in FAULTS.items() if fault.of_all}
+    shared = {name for name, fault in FAULTS.items() if fault.is_shared}
     return tuple(replace(event, tracker=_tracker(random, trackers, event, shared)) for event in events)
 
 
-def _tracker(random: Random, trackers: int, event: Happening, shared: Collection[str]) -> int | None:
+def _tracker(random: Random, trackers: int, event: ScheduledEvent, shared: Collection[str]) -> int | None:
     if event.what == "fault" and event.name in shared:
         return 0
     to_all = _SHARE_RELEASES_TO_ALL if event.name in ("auto", "clear") else _SHARE_TO_ALL
@@ -197,24 +197,24 @@ def value_ranges(name: str) -> tuple[tuple[float, float], ...]:
     return tuple((min(choices), max(choices)) for choices in _VALUES.get(name, ()))
 
 
-def _at_s(event: Happening) -> float:
+def _at_s(event: ScheduledEvent) -> float:
     return event.at_s
 
 
 def _episode(
     random: Random,
     now_s: float,
-    events: list[Happening],
+    events: list[ScheduledEvent],
     spans: Mapping[str, Span],
     commands: Mapping[str, float],
 ) -> float:
     """Add one episode and return when the next may begin."""
     if random.random() < 0.7:
-        events.append(Happening(round(now_s, 2), "command", "auto"))
-        events.append(Happening(round(now_s + 3, 2), "command", "clear"))
+        events.append(ScheduledEvent(round(now_s, 2), "command", "auto"))
+        events.append(ScheduledEvent(round(now_s + 3, 2), "command", "clear"))
         now_s += 12
         if random.random() < 0.25:
-            events.append(Happening(round(now_s, 2), "command", "home"))
+            events.append(ScheduledEvent(round(now_s, 2), "command", "home"))
             now_s += random.choice((20.0, 150.0, 400.0))
     if random.random() < 0.5 and "goto" in commands:
         events.append(_command(random, round(now_s, 2), "goto"))
@@ -232,15 +232,15 @@ def _pick(random: Random, weights: Mapping[str, float]) -> str:
     return random.choices(tuple(weights), tuple(weights.values()))[0]
 
 
-def _command(random: Random, at_s: float, name: str) -> Happening:
+def _command(random: Random, at_s: float, name: str) -> ScheduledEvent:
     if name == "goto":
         a_deg = random.choice((-50.0, 50.0, round(random.uniform(-50, 50), 2)))
         b_deg = random.choice((15.0, 90.0, round(random.uniform(15, 90), 2)))
-        return Happening(at_s, "command", name, (a_deg, b_deg))
-    return Happening(at_s, "command", name, random.choice(_BAD) if name == "bad" else ())
+        return ScheduledEvent(at_s, "command", name, (a_deg, b_deg))
+    return ScheduledEvent(at_s, "command", name, random.choice(_BAD) if name == "bad" else ())
 
 
-def _fault(random: Random, at_s: float, name: str, spans: Mapping[str, Span]) -> Happening:
+def _fault(random: Random, at_s: float, name: str, spans: Mapping[str, Span]) -> ScheduledEvent:
     _, shortest_s, longest_s = spans[name]
     lasts_s = 0.0
     if shortest_s is not None and longest_s is not None:
@@ -249,4 +249,4 @@ def _fault(random: Random, at_s: float, name: str, spans: Mapping[str, Span]) ->
     value = () if choices is None else tuple(random.choice(one) for one in choices)
     if name == "wind":
         value = (round(random.uniform(*_WIND_M_S), 1),)
-    return Happening(at_s=at_s, what="fault", name=name, value=value, lasts_s=lasts_s)
+    return ScheduledEvent(at_s=at_s, what="fault", name=name, value=value, lasts_s=lasts_s)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from daemon.base.records import Mode
-from daemon.studies.campaign.person import WORKS
+from daemon.studies.campaign.person import WORKING_MODES
 from daemon.studies.campaign.run import CampaignOutcome
-from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
 
 Phase = Literal["at rest", "in mid-move"]
 
@@ -26,7 +26,7 @@ _BEGINS_S: dict[Phase, tuple[float, ...]] = {
 }
 _PERSON_COMES_AFTER_S = 20.0
 _NEXT_COMMAND_S, _HOMES_WITHIN_S = 10.0, 250.0
-WATCHED_S = 120.0
+WATCH_AFTER_RECOVERY_S = 120.0
 """How long a run goes on after the tracker should work again."""
 
 
@@ -44,7 +44,7 @@ class Drill:
         How soon after the fault began.
     commands
         What a person has to say before the tracker works again, from 20 s after the fault is over; empty: nothing.
-    back_s
+    recovery_s
         How soon the tracker works again, after the fault is over or after the last of these commands.
     phase
         Whether the axes stand when the fault begins.
@@ -58,7 +58,7 @@ class Drill:
     mode: tuple[Mode, ...]
     within_s: float
     commands: tuple[str, ...]
-    back_s: float
+    recovery_s: float
     phase: Phase
     positioner: Literal["pozsol", "rotctld"] = "pozsol"
 
@@ -66,13 +66,13 @@ class Drill:
         """Yield the drill's runs."""
         for seed, begin_s in enumerate(_BEGINS_S[self.phase]):
             events = [
-                Happening(at_s=begin_s, what="fault", name=self.fault, value=self.value, lasts_s=self.lasts_s),
+                ScheduledEvent(at_s=begin_s, what="fault", name=self.fault, value=self.value, lasts_s=self.lasts_s),
                 *(
-                    Happening(at_s, "command", name)
-                    for at_s, name in person_says(self.commands, begin_s + self.lasts_s)
+                    ScheduledEvent(at_s, "command", name)
+                    for at_s, name in timed_commands(self.commands, begin_s + self.lasts_s)
                 ),
             ]
-            ends_s = events[-1].at_s + self.lasts_s + self.back_s + WATCHED_S
+            ends_s = events[-1].at_s + self.lasts_s + self.recovery_s + WATCH_AFTER_RECOVERY_S
             yield replace(drill_schedule(events, ends_s, seed), positioner=self.positioner)
 
     def measure(self, schedules: Sequence[Schedule], outcomes: Sequence[CampaignOutcome]) -> "WorstSeen":
@@ -82,7 +82,7 @@ class Drill:
             begin_s = schedule.events[0].at_s
             over_s = schedule.events[-1].at_s if self.commands else begin_s + self.lasts_s
             reached.append(_time_to_mode_s(outcome, self.mode, begin_s) if self.mode else 0.0)
-            back.append(works_from_s(outcome, over_s))
+            back.append(time_to_recovery_s(outcome, over_s))
             broken += [violation.promise for violation in outcome.violations]
         return WorstSeen(max(reached), max(back), tuple(sorted(set(broken))), len(outcomes))
 
@@ -93,7 +93,7 @@ class WorstSeen:
 
     Attributes
     ----------
-    reached_s, back_s
+    reached_s, recovery_s
         From the fault (of a pair: the second one) to the declared mode; from its end, or from the last command, until
         the tracker works again.
     broken
@@ -103,22 +103,24 @@ class WorstSeen:
     """
 
     reached_s: float
-    back_s: float
+    recovery_s: float
     broken: tuple[str, ...]
     runs: int
 
 
-def not_kept(name: str, modes: str, within_s: float, back_s: float, seen: WorstSeen) -> Iterator[str]:
+def describe_exceeded_bounds(
+    name: str, modes: str, within_s: float, recovery_s: float, seen: WorstSeen
+) -> Iterator[str]:
     """Yield a sentence for each thing that was worse than declared."""
     if not seen.reached_s <= within_s:
         yield f"{name}: {modes} after {seen.reached_s:.1f} s, {within_s:g} s are declared"
-    if not seen.back_s <= back_s:
-        yield f"{name}: back after {seen.back_s:.1f} s, {back_s:g} s are declared"
+    if not seen.recovery_s <= recovery_s:
+        yield f"{name}: back after {seen.recovery_s:.1f} s, {recovery_s:g} s are declared"
     for promise in seen.broken:
         yield f"{name}: breaks {promise}"
 
 
-def drill_schedule(events: Sequence[Happening], ends_s: float, seed: int = 0) -> Schedule:
+def drill_schedule(events: Sequence[ScheduledEvent], ends_s: float, seed: int = 0) -> Schedule:
     """Return a clear morning with these events, over at `ends_s`."""
     return Schedule(
         seed=seed,
@@ -132,7 +134,7 @@ def drill_schedule(events: Sequence[Happening], ends_s: float, seed: int = 0) ->
     )
 
 
-def person_says(commands: Sequence[str], over_s: float) -> Iterator[tuple[float, str]]:
+def timed_commands(commands: Sequence[str], over_s: float) -> Iterator[tuple[float, str]]:
     """Yield time [s] and name of each command of a person, who comes after all faults are over at `over_s`."""
     at_s = over_s + _PERSON_COMES_AFTER_S
     for name in commands:
@@ -142,14 +144,16 @@ def person_says(commands: Sequence[str], over_s: float) -> Iterator[tuple[float,
 
 def _time_to_mode_s(outcome: CampaignOutcome, modes: tuple[Mode, ...], begin_s: float) -> float:
     """Return how long after `begin_s` one of the modes was entered, infinite for never."""
-    return next((at_s - begin_s for at_s, mode in outcome.entered if at_s >= begin_s and mode in modes), float("inf"))
+    return next(
+        (at_s - begin_s for at_s, mode in outcome.entered_modes if at_s >= begin_s and mode in modes), float("inf")
+    )
 
 
-def works_from_s(outcome: CampaignOutcome, over_s: float) -> float:
+def time_to_recovery_s(outcome: CampaignOutcome, over_s: float) -> float:
     """Return how long after `over_s` the tracker began to work for good, infinite for never."""
     works_s = float("inf")
-    for at_s, mode in outcome.entered:
-        if mode not in WORKS:
+    for at_s, mode in outcome.entered_modes:
+        if mode not in WORKING_MODES:
             works_s = float("inf")
         elif works_s == float("inf"):
             works_s = max(at_s - over_s, 0.0)

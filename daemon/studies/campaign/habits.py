@@ -2,11 +2,11 @@
 
 from random import Random
 
-from daemon.studies.campaign.schedule import Chosen
+from daemon.studies.campaign.schedule import SettingsOverrides
 
 _CHANCE_OF_DEFAULTS = 0.3
 _CHANCE_OF_CHANGE = 0.35
-CHOICES: tuple[tuple[Chosen, ...], ...] = (
+CHOICES: tuple[tuple[SettingsOverrides, ...], ...] = (
     (
         {"site": {"latitude_deg": -33.9}},
         {"site": {"latitude_deg": 4.0}},
@@ -59,7 +59,7 @@ CHOICES: tuple[tuple[Chosen, ...], ...] = (
     ({"law": {"shadow": "optimal"}},),
 )
 """Groups of settings that belong together, each with several choices."""
-BUILT: tuple[Chosen, ...] = (
+AXIS_VARIANTS: tuple[SettingsOverrides, ...] = (
     {"positioner": {"a_axis": {"sense": "lowers", "low_deg": 52.0, "apex_deg": 90.0}, "status_layout": "stm"}},
     {
         "positioner": {
@@ -81,7 +81,7 @@ BUILT: tuple[Chosen, ...] = (
 """Ways to build the axes of a unit."""
 
 
-def draw_settings(seed: int, law: str, positioner: str) -> Chosen:
+def draw_settings(seed: int, law: str, positioner: str) -> SettingsOverrides:
     """Return the settings of a seed that are not the defaults, by section and key; none for three seeds of ten.
 
     Parameters
@@ -94,10 +94,10 @@ def draw_settings(seed: int, law: str, positioner: str) -> Chosen:
         Driver of the positioner: a rotator is not built in other ways.
     """
     random = Random(f"{seed} settings")  # noqa: S311 - reproducibility is the point; nothing secret depends on it
-    chosen: Chosen = {}
+    chosen: SettingsOverrides = {}
     if random.random() < _CHANCE_OF_DEFAULTS:
         return chosen
-    for ways in (*CHOICES, BUILT) if positioner == "pozsol" else CHOICES:
+    for ways in (*CHOICES, AXIS_VARIANTS) if positioner == "pozsol" else CHOICES:
         if random.random() >= _CHANCE_OF_CHANGE:
             continue
         for section, values in random.choice(ways).items():

@@ -7,11 +7,11 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.studies.campaign.run import CampaignOutcome, run_schedule
 from daemon.studies.campaign.schedule import Schedule
 from daemon.studies.spread.errors import WorkersError
-from daemon.studies.spread.workers import Workers, spread
+from daemon.studies.spread.workers import Workers, run_tasks
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class CampaignSummary:
         The schedules that broke a promise, each with what it showed.
     done
         How many schedules were carried out, failed or not.
-    lost
+    workers_error
         Why the other schedules could not be carried out, or None.
     """
 
@@ -40,7 +40,7 @@ class CampaignSummary:
     stop_latencies_s: list[float] = field(default_factory=list)
     failed: list[tuple[Schedule, CampaignOutcome]] = field(default_factory=list)
     done: int = 0
-    lost: WorkersError | None = None
+    workers_error: WorkersError | None = None
 
     def add(self, schedule: Schedule, outcome: CampaignOutcome) -> None:
         """Count one more."""
@@ -52,7 +52,7 @@ class CampaignSummary:
         if outcome.violations:
             self.failed.append((schedule, outcome))
 
-    def page(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """Return the summary for scripts; `failed` has the broken promises of each seed."""
         latencies = self.stop_latencies_s
         return {
@@ -63,24 +63,25 @@ class CampaignSummary:
             "stops_in_motion": len(latencies),
             "stop_median_s": statistics.median(latencies) if latencies else None,
             "stop_worst_s": max(latencies, default=None),
-            "failed": {schedule.seed: sorted(outcome.promises) for schedule, outcome in self.failed},
+            "failed": {schedule.seed: sorted(outcome.broken_promises) for schedule, outcome in self.failed},
         }
 
     def lines(self) -> Iterator[str]:
         """Yield the summary in lines for people; they do not depend on the order in which the schedules ended."""
         yield (
-            f"{counted(self.done, 'schedule')}, {self.hours:g} h of virtual time,"
-            f" {counted(self.events, 'event')}, {counted(self.moves, 'move')}, {len(self.failed)} with a broken promise"
+            f"{pluralise(self.done, 'schedule')}, {self.hours:g} h of virtual time,"
+            f" {pluralise(self.events, 'event')}, {pluralise(self.moves, 'move')},"
+            f" {len(self.failed)} with a broken promise"
         )
         if self.stop_latencies_s:
-            stops = counted(len(self.stop_latencies_s), "stop")
+            stops = pluralise(len(self.stop_latencies_s), "stop")
             yield (
                 f"{stops} in motion: {statistics.median(self.stop_latencies_s):.2f}"
                 f" s to standstill in truth at the median, {max(self.stop_latencies_s):.2f} s at worst"
             )
-        broken = Counter(promise for _, outcome in self.failed for promise in outcome.promises)
+        broken = Counter(promise for _, outcome in self.failed for promise in outcome.broken_promises)
         for promise, count in sorted(broken.items()):
-            seeds = sorted(schedule.seed for schedule, outcome in self.failed if promise in outcome.promises)
+            seeds = sorted(schedule.seed for schedule, outcome in self.failed if promise in outcome.broken_promises)
             yield f"{promise}: {count} ({', '.join(map(str, seeds))})"
 
 
@@ -111,8 +112,8 @@ def run_many(
     """
     summary = CampaignSummary()
     # A log costs much to send from another process, and nothing in this one.
-    run = run_schedule if with_log or workers.here else _run_and_forget_log
-    with closing(spread(run, schedules, workers, apart=True)) as outcomes:
+    run = run_schedule if with_log or workers.is_this_process else _run_and_forget_log
+    with closing(run_tasks(run, schedules, workers, apart=True)) as outcomes:
         try:
             for place, outcome in outcomes:
                 summary.add(schedules[place], outcome)
@@ -120,7 +121,7 @@ def run_many(
         except KeyboardInterrupt:
             pass
         except WorkersError as error:
-            summary.lost = error
+            summary.workers_error = error
     return summary
 
 
@@ -129,7 +130,7 @@ def run_all(
 ) -> list[CampaignOutcome]:
     """Carry out schedules and return what each showed, in their order; `progress` takes the share done, 0..1."""
     outcomes: dict[int, CampaignOutcome] = {}
-    for place, outcome in spread(_run_without_healing, schedules, workers, apart=True):
+    for place, outcome in run_tasks(_run_without_healing, schedules, workers, apart=True):
         outcomes[place] = outcome
         progress(len(outcomes) / len(schedules))
     return [outcomes[place] for place in range(len(schedules))]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Literal
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
-from daemon.studies.campaign.draw import COMMANDS, ROTATOR_SPANS, SPANS, draw, value_ranges
-from daemon.studies.campaign.schedule import Happening, Schedule
-from daemon.studies.inputs import check_ordinary
+from daemon.studies.campaign.draw import COMMANDS, FAULT_SPANS, ROTATOR_FAULT_SPANS, draw_schedule, value_ranges
+from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
+from daemon.studies.inputs import check_regular_file
 
 if TYPE_CHECKING:
     from daemon.config.settings import Settings
@@ -92,7 +92,7 @@ CELLS: dict[tuple[str, str], tuple[str, ...] | str] = {
     ("wind-sensor", "over-range"): ("wind",),
 }
 """Names of the campaign's faults by component and kind of fault."""
-_EVERY = {**SPANS, **ROTATOR_SPANS}
+_EVERY = {**FAULT_SPANS, **ROTATOR_FAULT_SPANS}
 
 _WHY_NOT: dict[str, dict[str, str]] = {
     "sensor": dict.fromkeys(("garbage", "slow", "late", "dropped-reply", "partial-line", "reset"), _NO_BYTES),
@@ -184,7 +184,7 @@ def chosen_schedules(
     only, without
         `only`: names of faults, or of cells of the matrix. `without`: names of faults and commands.
     file
-        A schedule that `reduce` has left, to be run in place of any drawn from seeds.
+        A schedule that `reduce_schedule` has left, to be run in place of any drawn from seeds.
     trackers
         How many the service has.
     positioner
@@ -196,7 +196,7 @@ def chosen_schedules(
         A name is not known, or cannot be done; the file cannot be read.
     """
     if file is not None:
-        check_ordinary(file, "a schedule")
+        check_regular_file(file, "a schedule")
         try:
             schedule = Schedule.from_json(file.read_text(encoding="utf-8"))
         except OSError as error:
@@ -209,14 +209,14 @@ def chosen_schedules(
             laws = ", ".join(plugins.names(plugins.LAWS))
             raise UserError(f"--schedule: {file} has a law '{schedule.law}'; choose from {laws}")
         from daemon.config.file import ConfigError  # noqa: PLC0415 - as for all that follow: the whole service
-        from daemon.studies.campaign.door import DirectDoor  # noqa: PLC0415
-        from daemon.studies.campaign.person import known  # noqa: PLC0415
+        from daemon.studies.campaign.door import DirectCommandChannel  # noqa: PLC0415
+        from daemon.studies.campaign.person import known_commands  # noqa: PLC0415
 
         try:
             settings_of(schedule)
         except ConfigError as error:
             raise UserError(f"--schedule: {file}: settings.{'; settings.'.join(error.problems)}") from None
-        refuse_unknown(schedule, known(DirectDoor()))
+        refuse_unknown(schedule, known_commands(DirectCommandChannel()))
         _refuse_values(file, schedule.events)
         return [schedule]
     unknown = sorted(set(without) - {*_EVERY, *COMMANDS})
@@ -224,10 +224,10 @@ def chosen_schedules(
         raise UserError(f"--without: there is no fault or command {', '.join(unknown)}")
     for name in _EVERY.keys() & only:
         _refuse_impossible(name, positioner)
-    faults = tuple(name for name in chosen_faults(only) or _EVERY if name in possible(positioner))
+    faults = tuple(name for name in chosen_faults(only) or _EVERY if name in possible_faults(positioner))
     if not faults:
         raise UserError(f"--only: a rotator has nothing of {', '.join(only)}")
-    return [draw(seed, hours, without, faults, trackers, positioner) for seed in range(first, first + seeds)]
+    return [draw_schedule(seed, hours, without, faults, trackers, positioner) for seed in range(first, first + seeds)]
 
 
 def settings_of(schedule: Schedule, directory: Path | None = None) -> "Settings":
@@ -259,24 +259,24 @@ def refuse_unknown(schedule: Schedule, commands: Collection[str]) -> None:
             _refuse_impossible(event.name, schedule.positioner)
 
 
-def possible(positioner: Literal["pozsol", "rotctld"]) -> Collection[str]:
+def possible_faults(positioner: Literal["pozsol", "rotctld"]) -> Collection[str]:
     """Return the faults that the campaign can cause with a positioner of this driver."""
     if positioner == "pozsol":
-        return SPANS
-    from daemon.rigs.campaign.faults import OF_A_ROTATOR  # noqa: PLC0415 - the whole service
+        return FAULT_SPANS
+    from daemon.rigs.campaign.faults import ROTATOR_PLANT_FAULTS  # noqa: PLC0415 - the whole service
 
-    return OF_A_ROTATOR
+    return ROTATOR_PLANT_FAULTS
 
 
 def _refuse_impossible(name: str, positioner: Literal["pozsol", "rotctld"]) -> None:
-    known = possible(positioner)
+    known = possible_faults(positioner)
     if name not in known:
-        if name in ROTATOR_SPANS:
+        if name in ROTATOR_FAULT_SPANS:
             raise UserError(f"{name} cannot be simulated: only a rotator has it; give --positioner rotctld as well")
         raise UserError(f"{name} cannot be simulated: a rotator behind rotctld has only {', '.join(sorted(known))}")
 
 
-def _refuse_values(file: Path, events: Iterable[Happening]) -> None:
+def _refuse_values(file: Path, events: Iterable[ScheduledEvent]) -> None:
     """Raise `UserError` for the first event out of order, or with numbers that its command or fault does not take."""
     before_s = -math.inf
     for event in events:

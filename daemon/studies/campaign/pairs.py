@@ -5,25 +5,25 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from daemon.base.records import Mode
-from daemon.rigs.campaign.faults import PROCESS
+from daemon.rigs.campaign.faults import PROCESS_FAULTS
 from daemon.studies.campaign.drills import (
     FALLBACK,
     FAULT,
     HOLD,
     STOW,
-    WATCHED_S,
+    WATCH_AFTER_RECOVERY_S,
     Drill,
     Phase,
     WorstSeen,
+    describe_exceeded_bounds,
     drill_schedule,
-    not_kept,
-    person_says,
-    works_from_s,
+    time_to_recovery_s,
+    timed_commands,
 )
 from daemon.studies.campaign.many import run_all
-from daemon.studies.campaign.person import WORKS
+from daemon.studies.campaign.person import WORKING_MODES
 from daemon.studies.campaign.run import CampaignOutcome
-from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
 from daemon.studies.spread.workers import Workers
 
 # At rest the second comes while the first is dealt with; in mid-move before the first has ended the move.
@@ -38,7 +38,7 @@ _MODES_BY_STRENGTH = (
 )
 # Only a move shows these, and without readings there may be none.
 _SHOWN_BY_A_MOVE = frozenset(("deaf", "undervoltage", "a_ignores_targets", "a_hall_loss", "b_hall_loss"))
-_PROCESS_FAULTS = frozenset((*PROCESS, "suspended"))
+_PROCESS_FAULTS = frozenset((*PROCESS_FAULTS, "suspended"))
 _HIDING_FAULTS = _PROCESS_FAULTS | {"unplug_positioner", "positioner_silent"}
 _HOMES_MOST = 3
 _LEAVE_NO_MARK = ("a_slip", "b_slip", "a_switch_closed", "b_switch_closed")
@@ -78,7 +78,7 @@ class Pair:
         declared = {*self.first.mode, *self.second.mode}
         if declared == {*FAULT, *FALLBACK} and any(one.fault in _SHOWN_BY_A_MOVE for one in (self.first, self.second)):
             return frozenset(declared)
-        return frozenset(next((allowed for asked, allowed in _MODES_BY_STRENGTH if asked & declared), WORKS))
+        return frozenset(next((allowed for asked, allowed in _MODES_BY_STRENGTH if asked & declared), WORKING_MODES))
 
     @property
     def within_s(self) -> float:
@@ -87,9 +87,9 @@ class Pair:
         return sum(bounds) if self._fault_names & _PROCESS_FAULTS else max(bounds)
 
     @property
-    def back_s(self) -> float:
+    def recovery_s(self) -> float:
         """How soon it works again after faults and commands [s]: one fault may be found after the other is gone."""
-        return self.first.back_s + self.second.back_s
+        return self.first.recovery_s + self.second.recovery_s
 
     @property
     def commands(self) -> tuple[str, ...]:
@@ -119,18 +119,20 @@ class Pair:
     def _both_over_s(self) -> float:
         """When both are over and seen, and a storm has passed: a person comes then."""
         return max(
-            begin_s + max(one.lasts_s, one.within_s) + (one.back_s if one.mode == STOW and self.commands else 0.0)
+            begin_s + max(one.lasts_s, one.within_s) + (one.recovery_s if one.mode == STOW and self.commands else 0.0)
             for begin_s, one in zip(self._begins_s, (self.first, self.second), strict=True)
         )
 
     def schedule(self) -> Schedule:
         """Return the pair's run."""
         events = [
-            Happening(at_s=begin_s, what="fault", name=one.fault, value=one.value, lasts_s=one.lasts_s)
+            ScheduledEvent(at_s=begin_s, what="fault", name=one.fault, value=one.value, lasts_s=one.lasts_s)
             for begin_s, one in zip(self._begins_s, (self.first, self.second), strict=True)
         ]
-        said = [Happening(at_s, "command", name) for at_s, name in person_says(self.commands, self._both_over_s)]
-        ends_s = (said[-1].at_s if said else self._both_over_s) + self.back_s + WATCHED_S
+        said = [
+            ScheduledEvent(at_s, "command", name) for at_s, name in timed_commands(self.commands, self._both_over_s)
+        ]
+        ends_s = (said[-1].at_s if said else self._both_over_s) + self.recovery_s + WATCH_AFTER_RECOVERY_S
         return drill_schedule([*events, *said], ends_s)
 
     def measure(self, schedule: Schedule, outcome: CampaignOutcome) -> WorstSeen:
@@ -139,16 +141,16 @@ class Pair:
         over_s = schedule.events[-1].at_s if self.commands else self._both_over_s
         reached_s = _time_to_modes_s(outcome, self.modes, begun_s)
         broken = tuple(sorted({violation.promise for violation in outcome.violations}))
-        return WorstSeen(reached_s, works_from_s(outcome, over_s), broken, 1)
+        return WorstSeen(reached_s, time_to_recovery_s(outcome, over_s), broken, 1)
 
-    def beyond(self, seen: WorstSeen) -> Iterator[str]:
+    def exceeded_bounds(self, seen: WorstSeen) -> Iterator[str]:
         """Yield a sentence for each thing that was worse than declared."""
         name = f"{self.first.fault} and {self.second.fault} {self.first.phase}"
-        yield from not_kept(name, self.name_modes(), self.within_s, self.back_s, seen)
+        yield from describe_exceeded_bounds(name, self.name_modes(), self.within_s, self.recovery_s, seen)
 
     def name_modes(self) -> str:
         """Return the modes for people."""
-        return "works on" if self.modes == frozenset(WORKS) else " or ".join(sorted(self.modes))
+        return "works on" if self.modes == frozenset(WORKING_MODES) else " or ".join(sorted(self.modes))
 
 
 def declared_pairs(drills: Iterable[Drill]) -> list[Pair]:
@@ -175,13 +177,15 @@ def pair_rows(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> Iterator[str]
     for modes in dict.fromkeys(pair.name_modes() for pair in pairs):
         some = [(pair, found) for pair, found in zip(pairs, seen, strict=True) if pair.name_modes() == modes]
         within_s, reached_s = max(pair.within_s for pair, _ in some), max(found.reached_s for _, found in some)
-        back_s, worst_back_s = max(pair.back_s for pair, _ in some), max(found.back_s for _, found in some)
-        yield f"{modes} | {len(some)} | {within_s:g} s | {reached_s:.1f} s | {back_s:g} s | {worst_back_s:.1f} s"
+        recovery_s, worst_back_s = max(pair.recovery_s for pair, _ in some), max(found.recovery_s for _, found in some)
+        yield f"{modes} | {len(some)} | {within_s:g} s | {reached_s:.1f} s | {recovery_s:g} s | {worst_back_s:.1f} s"
 
 
 def _time_to_modes_s(outcome: CampaignOutcome, modes: frozenset[Mode], begun_s: float) -> float:
     """Return how long after `begun_s` the tracker first was in one of the modes, infinite for never."""
-    before = [mode for at_s, mode in outcome.entered if at_s <= begun_s]
+    before = [mode for at_s, mode in outcome.entered_modes if at_s <= begun_s]
     if before and before[-1] in modes:
         return 0.0
-    return next((at_s - begun_s for at_s, mode in outcome.entered if at_s > begun_s and mode in modes), float("inf"))
+    return next(
+        (at_s - begun_s for at_s, mode in outcome.entered_modes if at_s > begun_s and mode in modes), float("inf")
+    )

@@ -6,20 +6,20 @@ import math
 from daemon.base.records import Mode
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.service.operator import CommandError
-from daemon.studies.campaign.door import Door
+from daemon.studies.campaign.door import CommandChannel
 from daemon.studies.campaign.draw import COMMANDS
-from daemon.studies.campaign.watch.asked_for import is_there, parked_at
+from daemon.studies.campaign.watch.asked_for import is_at_position, park_positions
 from daemon.studies.campaign.watch.truth import TruthWatch
 
 STANDS_DEG = 0.003
-WORKS = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
+WORKING_MODES = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT)
 _WHY = "the campaign"
 _LONGEST_SENTENCE = 500
 # A stop is sent to the unit first and then kept on disk: a process that dies in between has forgotten it.
 _KEPT_WITHIN_S = 0.001
 
 
-def known(door: Door) -> list[str]:
+def known_commands(door: CommandChannel) -> list[str]:
     """Return the commands of the campaign that go through a door."""
     return [name for name in COMMANDS if name == "bad" or door.has(name)]
 
@@ -35,25 +35,25 @@ class Person:
         Through which commands go.
     """
 
-    def __init__(self, mount: PlantTracker, watch: TruthWatch, door: Door) -> None:
+    def __init__(self, mount: PlantTracker, watch: TruthWatch, door: CommandChannel) -> None:
         self._door = door
         self._mount = mount
         self._watch = watch
         self._commands_given = 0
 
-    async def give(self, name: str, value: tuple[float, ...] = (), for_all: Door | None = None) -> None:
+    async def give(self, name: str, value: tuple[float, ...] = (), for_all: CommandChannel | None = None) -> None:
         """Give a command as soon as a service is there, and check what comes of it.
 
         `for_all` is the door of one command that is given for all trackers, or None.
         """
         await self._mount.plant.served.wait()
         self._commands_given += 1
-        self._watch.storms.disturbed(self._now_s)
+        self._watch.storms.note_disturbance(self._now_s)
         if name == "bad" or (name == "goto" and not self._mount.settings.limits.limits().contain(*value)):
             await self._give_wrong(value)
             return
-        stopped_before = self._watch.stopped and self._now_s > self._watch.stop_asked_s
-        maintained_before = self._watch.maintained
+        stopped_before = self._watch.is_stopped and self._now_s > self._watch.stop_asked_s
+        maintained_before = self._watch.is_in_maintenance
         self._note_command(name)
         given, mount, watch = self._commands_given, self._mount, self._watch
         generation, asked_s = mount.service, self._now_s
@@ -65,15 +65,15 @@ class Person:
             raise
         except CommandError as error:
             if name == "maintenance" and not maintained_before and "could not be sent" not in str(error):
-                watch.maintenance_ends()
+                watch.note_maintenance_end()
             self._check_sentence(name, str(error), 1 if for_all is None else len(mount.plant.mounts))
             if stopped_before and name not in ("stop", "auto"):
                 self._check_refusal(name, str(error))
             return
         if mount.service is not generation:
             return
-        if stopped_before and name not in ("stop", "auto") and watch.stopped:
-            watch.fails("stop-undone", f"{name} was carried out under a stop: {answer.text}")
+        if stopped_before and name not in ("stop", "auto") and watch.is_stopped:
+            watch.add_violation("stop-undone", f"{name} was carried out under a stop: {answer.text}")
         if answer.done:
             await self._check_done(name, value, answer.text, given)
 
@@ -81,7 +81,7 @@ class Person:
     def _now_s(self) -> float:
         return self._mount.clock.monotonic()
 
-    def _why(self, for_all: Door | None) -> str:
+    def _why(self, for_all: CommandChannel | None) -> str:
         return f"{_WHY}, to {'all' if for_all else self._mount.name}"
 
     def check_wishes(self) -> None:
@@ -89,31 +89,33 @@ class Person:
         wishes, own = self._mount.control.wishes, [self._why(None), self._why(self._door)]
         for name in type(wishes).model_fields:
             wish = getattr(wishes, name)
-            for why in [] if wish is None else [each.why for each in wish.everybodys]:
+            for why in [] if wish is None else [each.why for each in wish.all_requests]:
                 if why.startswith(_WHY) and why not in own:
-                    self._watch.fails("mixed-up", f"{name} is in force here, and was asked with the words '{why}'")
+                    self._watch.add_violation(
+                        "mixed-up", f"{name} is in force here, and was asked with the words '{why}'"
+                    )
 
     def _note_command(self, name: str) -> None:
         if name == "stop":
-            self._watch.stop_is_asked()
+            self._watch.note_stop_request()
         elif name == "maintenance":
-            self._watch.maintenance_begins()
+            self._watch.note_maintenance_start()
         elif name == "auto":
-            self._watch.stop_is_released()
-            self._watch.maintenance_ends()
+            self._watch.note_stop_release()
+            self._watch.note_maintenance_end()
         elif name in ("clear", "home"):
             # From here on a person answers for the count.
-            self._watch.reference.excused = True
+            self._watch.count_check.excused = True
 
     def _forget_lost_command(self, name: str, *, was_stopped: bool, was_maintained: bool) -> None:
         if name == "stop" and not was_stopped:
-            self._watch.stop_is_released()
+            self._watch.note_stop_release()
         elif name == "maintenance" and not was_maintained:
-            self._watch.maintenance_ends()
+            self._watch.note_maintenance_end()
 
     async def _give_wrong(self, value: tuple[float, ...]) -> None:
         mount, watch = self._mount, self._watch
-        orders = watch.explained.packets
+        orders = watch.active_orders.packets
         wishes = mount.wishes()
         moving = any(watch.moving.values()) or mount.motion.moving
         try:
@@ -121,19 +123,19 @@ class Person:
         except CommandError as error:
             self._check_sentence("goto", str(error))
         else:
-            watch.fails("bad-input", f"goto {value} was carried out: {answer.text}")
-        if mount.wishes() != wishes or (not moving and watch.explained.packets != orders):
-            watch.fails("bad-input", f"goto {value} changed what was asked before, or sent something")
+            watch.add_violation("bad-input", f"goto {value} was carried out: {answer.text}")
+        if mount.wishes() != wishes or (not moving and watch.active_orders.packets != orders):
+            watch.add_violation("bad-input", f"goto {value} changed what was asked before, or sent something")
 
     def _check_sentence(self, name: str, sentence: str, trackers: int = 1) -> None:
         # A command that all trackers refuse has a line for each tracker behind its own.
         lines = 1 if trackers == 1 else 1 + trackers
         if not sentence or len(sentence.split("\n")) > lines or len(sentence) > _LONGEST_SENTENCE * trackers:
-            self._watch.fails("sentence", f"{name} is refused with {sentence!r}")
+            self._watch.add_violation("sentence", f"{name} is refused with {sentence!r}")
 
     def _check_refusal(self, name: str, sentence: str) -> None:
         if "auto" not in sentence or not any(latch in sentence for latch in ("stop", "maintenance", "button")):
-            self._watch.fails("refusal", f"{name} under a stop does not say how it is released: {sentence!r}")
+            self._watch.add_violation("refusal", f"{name} under a stop does not say how it is released: {sentence!r}")
 
     async def _check_done(self, name: str, value: tuple[float, ...], text: str, given: int) -> None:
         """Compare the answer that a command is done with the truth."""
@@ -142,7 +144,7 @@ class Person:
         elif name in ("goto", "stow", "snow"):
             self._check_place(name, value, text)
         elif name == "home" and self._mount.motion.homing:
-            self._watch.fails("false-done", f"home is said to be done while it is under way: {text}")
+            self._watch.add_violation("false-done", f"home is said to be done while it is under way: {text}")
         elif name == "clear":
             self._check_cleared(text)
 
@@ -152,14 +154,14 @@ class Person:
         await asyncio.sleep(0.1)
         after, undisturbed = mount.truth(), given == self._commands_given and mount.mode is mode
         turned_deg = max(abs(before.a_deg - after.a_deg), abs(before.b_deg - after.b_deg))
-        if turned_deg > STANDS_DEG and undisturbed and not self._watch.disturbed(0.3):
-            self._watch.fails("false-done", f"{name} is said to be done, and an axis turns: {text}")
+        if turned_deg > STANDS_DEG and undisturbed and not self._watch.was_disturbed(0.3):
+            self._watch.add_violation("false-done", f"{name} is said to be done, and an axis turns: {text}")
 
     def _check_place(self, name: str, value: tuple[float, ...], text: str) -> None:
         settings, at = self._mount.settings, self._mount.truth()
-        place = value if name == "goto" else parked_at(settings)[Mode(name)]
-        if not is_there(at, place, settings) and not self._watch.is_wrong() and math.isfinite(sum(place)):
-            self._watch.fails("false-done", f"{name} is said to be done, the truth is {at}: {text}")
+        place = value if name == "goto" else park_positions(settings)[Mode(name)]
+        if not is_at_position(at, place, settings) and not self._watch.is_wrong() and math.isfinite(sum(place)):
+            self._watch.add_violation("false-done", f"{name} is said to be done, the truth is {at}: {text}")
 
     def _check_cleared(self, text: str) -> None:
         telemetry = self._mount.motion.telemetry
@@ -169,4 +171,4 @@ class Person:
         forgiven = text.partition("; mode ")[0]
         left = [fault for fault in telemetry.faults if fault in forgiven]
         if left:
-            self._watch.fails("false-done", f"clear is said to be done with {left}: {text}")
+            self._watch.add_violation("false-done", f"clear is said to be done with {left}: {text}")

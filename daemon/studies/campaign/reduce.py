@@ -13,7 +13,7 @@ _AFTER_LAST_S = 60.0
 _SHARES = (0.95, 0.9, 0.75, 0.5, 0.25)
 
 
-def reduce(
+def reduce_schedule(
     schedule: Schedule,
     promises: Collection[str],
     broken_s: float | None = None,
@@ -33,7 +33,7 @@ def reduce(
 
     def fails(fewer: Schedule) -> bool:
         try:
-            return bool(again(fewer).promises & set(promises))
+            return bool(again(fewer).broken_promises & set(promises))
         except ConfigError:
             # Some settings only go together.
             return False

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file
-from daemon.studies.campaign.declared import UNSEEN, declared
-from daemon.studies.campaign.drills import Drill, WorstSeen, not_kept
+from daemon.studies.campaign.declared import REASONS_WITHOUT_DRILL, declared_drills
+from daemon.studies.campaign.drills import Drill, WorstSeen, describe_exceeded_bounds
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import COMPONENTS, FAULT_KINDS, cell
 from daemon.studies.campaign.pairs import LEFT_OUT, Pair, declared_pairs, measure_pairs, pair_rows
@@ -66,7 +66,7 @@ def write_reliability(path: Path, workers: Workers, progress: Callable[[float], 
 
     Raises `UserError` where the page cannot be written.
     """
-    drills = declared()
+    drills = declared_drills()
     pairs = declared_pairs(drills)
     alone = sum(1 for drill in drills for _ in drill.schedules())
     share = alone / (alone + len(pairs))
@@ -86,17 +86,19 @@ def measure_drills(drills: Sequence[Drill], workers: Workers, progress: Callable
     return [drill.measure(some, [next(outcomes) for _ in some]) for drill, some in zip(drills, schedules, strict=True)]
 
 
-def beyond(drill: Drill, measured: WorstSeen) -> Iterator[str]:
+def exceeded_bounds(drill: Drill, measured: WorstSeen) -> Iterator[str]:
     """Yield a sentence for each thing in which a drill was worse than declared."""
-    yield from not_kept(f"{drill.fault} {drill.phase}", _modes(drill), drill.within_s, drill.back_s, measured)
+    yield from describe_exceeded_bounds(
+        f"{drill.fault} {drill.phase}", _modes(drill), drill.within_s, drill.recovery_s, measured
+    )
 
 
 def _drill_failures(drills: Sequence[Drill], results: Sequence[WorstSeen]) -> list[str]:
-    return [text for drill, measured in zip(drills, results, strict=True) for text in beyond(drill, measured)]
+    return [text for drill, measured in zip(drills, results, strict=True) for text in exceeded_bounds(drill, measured)]
 
 
 def _pair_failures(pairs: Sequence[Pair], seen: Sequence[WorstSeen]) -> list[str]:
-    return [text for pair, found in zip(pairs, seen, strict=True) for text in pair.beyond(found)]
+    return [text for pair, found in zip(pairs, seen, strict=True) for text in pair.exceeded_bounds(found)]
 
 
 def _verdict(broken: Sequence[str]) -> str:
@@ -116,7 +118,7 @@ def page(
         left_out=LEFT_OUT, broken=f"{_verdict(_pair_failures(pairs, seen))} {len(pairs)} runs in all."
     )
     text += "".join(f"| {row} |\n" for row in pair_rows(pairs, seen))
-    text += _UNSEEN_HEAD + "".join(f"| `{name}` | {why} |\n" for name, why in UNSEEN.items())
+    text += _UNSEEN_HEAD + "".join(f"| `{name}` | {why} |\n" for name, why in REASONS_WITHOUT_DRILL.items())
     text += _MATRIX
     return text + "".join(f"| {row} |\n" for component in COMPONENTS for row in _component_rows(component))
 
@@ -137,7 +139,7 @@ def _row(drill: Drill, measured: WorstSeen) -> str:
     lasts = f"{drill.lasts_s:g} s" if drill.lasts_s else "at once"
     bound, worst = (f"{drill.within_s:g} s", f"{measured.reached_s:.1f} s") if drill.mode else ("", "")
     by = ", ".join(f"`{name}`" for name in drill.commands) or "itself"
-    back = f"{drill.back_s:g} s | {measured.back_s:.1f} s"
+    back = f"{drill.recovery_s:g} s | {measured.recovery_s:.1f} s"
     of = " of a rotator" if drill.positioner == "rotctld" else ""
     return f"`{drill.fault}`{value}{of} | {lasts} | {drill.phase} | {_modes(drill)} | {bound} | {worst} | {by} | {back}"
 

@@ -15,13 +15,13 @@ from typing import Any
 from daemon.base.records import Mode, ModeChange, Move
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.rigs.campaign.build import build_plant
-from daemon.rigs.campaign.faults import FAULTS, PROCESS, PlantFault
-from daemon.service.operator_commands import OF_ALL
-from daemon.studies.campaign.bounded import WARM_AFTER_S, Bounded, LogLine
-from daemon.studies.campaign.door import DirectDoor, Door, Together
+from daemon.rigs.campaign.faults import FAULTS, PROCESS_FAULTS, PlantFault
+from daemon.service.operator_commands import COMMANDS_FOR_ALL
+from daemon.studies.campaign.bounded import WARM_AFTER_S, GrowthCheck, LogLine
+from daemon.studies.campaign.door import CommandChannel, DirectCommandChannel, SharedCommandChannel
 from daemon.studies.campaign.matrix import refuse_unknown, settings_of
-from daemon.studies.campaign.person import WORKS, Person, known
-from daemon.studies.campaign.schedule import Happening, Schedule
+from daemon.studies.campaign.person import WORKING_MODES, Person, known_commands
+from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
 from daemon.studies.campaign.watch.reporting import Violation
 from daemon.studies.campaign.watch.truth import TruthWatch
 
@@ -47,7 +47,7 @@ class CampaignOutcome:
         The service's log.
     moves
         How many there were.
-    entered
+    entered_modes
         The modes that were entered, each with its time [s].
     """
 
@@ -55,10 +55,10 @@ class CampaignOutcome:
     stop_latencies_s: tuple[float, ...]
     lines: tuple[LogLine, ...]
     moves: int
-    entered: tuple[tuple[float, Mode], ...]
+    entered_modes: tuple[tuple[float, Mode], ...]
 
     @property
-    def promises(self) -> set[str]:
+    def broken_promises(self) -> set[str]:
         """The names of the broken promises."""
         return {violation.promise for violation in self.violations}
 
@@ -81,9 +81,9 @@ class CampaignRun:
     """
 
     def __init__(
-        self, loop: VirtualTimeLoop, schedule: Schedule, directory: Path, bounded: Bounded, door: Door
+        self, loop: VirtualTimeLoop, schedule: Schedule, directory: Path, bounded: GrowthCheck, door: CommandChannel
     ) -> None:
-        refuse_unknown(schedule, known(door))
+        refuse_unknown(schedule, known_commands(door))
         self.watches = [TruthWatch() for _ in range(schedule.trackers)]
         self.plant = build_plant(
             loop,
@@ -106,7 +106,7 @@ class CampaignRun:
         loop.set_exception_handler(self._unhandled)
 
     def _fails(self, promise: str, text: str) -> None:
-        self.watches[0].fails(promise, text)
+        self.watches[0].add_violation(promise, text)
 
     def _unhandled(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         self._fails("defect", f"{context.get('message')}: {context.get('exception')!r}")
@@ -136,7 +136,7 @@ class CampaignRun:
 
     def _count_warm_memory(self) -> None:
         if self.plant.is_served:
-            self._bounded.warm(self.plant.records)
+            self._bounded.note_memory_baseline(self.plant.records)
         else:
             # Without a service there would be less in memory than at the end.
             self._warm_timer = asyncio.get_running_loop().call_later(_WARM_RETRY_S, self._count_warm_memory)
@@ -160,11 +160,11 @@ class CampaignRun:
         if left:
             self._fails("leak", f"tasks that outlive their service: {left}")
 
-    def _start_event(self, event: Happening) -> None:
-        shared = event.what == "fault" and FAULTS[event.name].of_all
+    def _start_event(self, event: ScheduledEvent) -> None:
+        shared = event.what == "fault" and FAULTS[event.name].is_shared
         places = range(len(self.watches)) if event.tracker is None and not shared else (event.tracker or 0,)
         # One command for all trackers where the service has such a command, otherwise one for each tracker.
-        together = Together(self._door) if len(places) > 1 and event.name in OF_ALL else None
+        together = SharedCommandChannel(self._door) if len(places) > 1 and event.name in COMMANDS_FOR_ALL else None
         for place in places:
             if event.what == "command":
                 giving = self._persons[place].give(event.name, event.value, together)
@@ -183,31 +183,31 @@ class CampaignRun:
         for person in self._persons:
             person.check_wishes()
 
-    async def _fault(self, event: Happening, place: int) -> None:
+    async def _fault(self, event: ScheduledEvent, place: int) -> None:
         fault, plant = FAULTS[event.name], self.plant
-        if event.name in PROCESS and not plant.is_served:
+        if event.name in PROCESS_FAULTS and not plant.is_served:
             return
-        key = event.name, 0 if fault.of_all else place
+        key = event.name, 0 if fault.is_shared else place
         mount, watches = plant.mounts[place], self._watches_of_fault(*key)
         for watch in watches:
             _note_fault_begin(watch, event.name, event.value, fault)
         self._lasting_faults[key] += 1
         await _await_if_needed(fault.begin(mount, event.value))
         for watch in watches:
-            watch.lasting += 1
+            watch.active_faults += 1
         try:
             await asyncio.sleep(event.lasts_s)
         finally:
             for watch in watches:
-                watch.lasting -= 1
+                watch.active_faults -= 1
         # Another fault may have silenced the sensor meanwhile, or ended the service.
         served_s = plant.clock.monotonic() - plant.served_since_s
-        awake_s = plant.clock.monotonic() - plant.stood_still_s
+        awake_s = plant.clock.monotonic() - plant.resumed_s
         blew = event.name == "wind" and plant.wind_m_s == event.value[0]
         if blew and GUST_S <= event.lasts_s <= served_s and awake_s >= GUST_S:
             for watch in watches:
                 if event.value[0] >= watch.mount.settings.safety.stow_wind_m_s:
-                    watch.gust()
+                    watch.note_gust()
         self._lasting_faults[key] -= 1
         if fault.end is not None and not self._lasting_faults[key]:
             await _await_if_needed(fault.end(mount, event.value))
@@ -216,7 +216,7 @@ class CampaignRun:
 
     def _watches_of_fault(self, name: str, place: int) -> list[TruthWatch]:
         """Return the watches of the trackers to which a fault happens; all others must go on as without the fault."""
-        return self.watches if FAULTS[name].of_all else [self.watches[place]]
+        return self.watches if FAULTS[name].is_shared else [self.watches[place]]
 
     async def _end_all_faults(self) -> None:
         """End whatever still lasts."""
@@ -226,7 +226,7 @@ class CampaignRun:
         await asyncio.gather(*lasting, return_exceptions=True)
         for (name, place), count in self._lasting_faults.items():
             fault = FAULTS[name]
-            if count and fault.end is not None and name not in PROCESS:
+            if count and fault.end is not None and name not in PROCESS_FAULTS:
                 value = next(event.value for event in self._schedule.events if event.name == name)
                 await _await_if_needed(fault.end(self.plant.mounts[place], value))
                 for watch in self._watches_of_fault(name, place):
@@ -236,7 +236,7 @@ class CampaignRun:
         for mount in self.plant.mounts:
             mount.plug(up=True)
         if not self.plant.is_served:
-            self.plant.renew()
+            self.plant.start_new_process()
 
     async def _check_recovery(self, person: Person, watch: TruthWatch) -> None:
         """Set a tracker right as a person would, with `clear`, `auto` and `home`; then it has to work."""
@@ -257,49 +257,49 @@ class CampaignRun:
             await asyncio.sleep(60.0)
             turn += 1
             at_rest = not mount.motion.doubt and not mount.motion.moving
-            if mount.mode in WORKS and at_rest and (mount.has_homed(begun_s) or not mount.has_reference_run):
+            if mount.mode in WORKING_MODES and at_rest and (mount.has_homed(begun_s) or not mount.has_reference_run):
                 break
         else:
             text = f"mode {mount.mode}: {mount.control.why} {within_s:g} s after everything was set right"
-            watch.fails("does-not-recover", text)
+            watch.add_violation("does-not-recover", text)
             return
         if watch.is_wrong():
             text = f"after a reference run the truth is {mount.truth()}, and the service says {mount.motion.pose}"
-            watch.fails("believes-a-wrong-count", text)
+            watch.add_violation("believes-a-wrong-count", text)
 
 
 def _note_fault_begin(watch: TruthWatch, name: str, value: tuple[float, ...], fault: PlantFault) -> None:
-    if fault.moves:
-        watch.moves_itself()
+    if fault.may_move:
+        watch.note_self_motion()
     if name == "deaf":
-        watch.deaf(is_deaf=True)
+        watch.note_deafness(is_deaf=True)
     elif name == "clock_step":
-        watch.decided.steps.note(value[0], watch.now_s)
-    if fault.uncounts:
-        watch.reference.excused, watch.reference.lost_s = True, watch.now_s
+        watch.decision_check.steps.note(value[0], watch.now_s)
+    if fault.may_lose_counts:
+        watch.count_check.excused, watch.count_check.lost_s = True, watch.now_s
     if name.endswith("hall_loss"):
         watch.blind.add("a" if name[0] == "a" else "b")
     if fault.by_hand:
-        watch.explained.held(is_held=True, now_s=watch.now_s)
+        watch.active_orders.note_button(is_held=True, now_s=watch.now_s)
     if name == "machine_sleeps":
         # A sleep alone justifies no alarm about the unit.
-        watch.storms.disturbed(watch.now_s)
+        watch.storms.note_disturbance(watch.now_s)
     else:
-        watch.disturbs()
+        watch.note_disturbance()
 
 
 def _note_fault_end(watch: TruthWatch, name: str, fault: PlantFault) -> None:
-    if fault.moves:
-        watch.moves_itself()
+    if fault.may_move:
+        watch.note_self_motion()
     if fault.by_hand:
-        watch.explained.held(is_held=False, now_s=watch.now_s)
+        watch.active_orders.note_button(is_held=False, now_s=watch.now_s)
     if name.endswith("hall_loss"):
-        watch.sees_again("a" if name[0] == "a" else "b")
+        watch.note_hall_pulses_back("a" if name[0] == "a" else "b")
     if name == "deaf":
-        watch.deaf(is_deaf=False)
+        watch.note_deafness(is_deaf=False)
     elif name == "clock_step":
-        watch.decided.steps.note(0.0, watch.now_s)
-    watch.disturbs()
+        watch.decision_check.steps.note(0.0, watch.now_s)
+    watch.note_disturbance()
 
 
 async def _await_if_needed(result: Any) -> None:
@@ -307,7 +307,7 @@ async def _await_if_needed(result: Any) -> None:
         await result
 
 
-def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = True) -> CampaignOutcome:
+def run_schedule(schedule: Schedule, door: CommandChannel | None = None, *, heal: bool = True) -> CampaignOutcome:
     """Carry out a schedule and return what it showed.
 
     Parameters
@@ -332,9 +332,9 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
     ):
         loop = runner.get_loop()
         assert isinstance(loop, VirtualTimeLoop)  # noqa: S101 - narrowing; it has just been made
-        bounded = Bounded(loop.time)
+        bounded = GrowthCheck(loop.time)
         with _capture_log(bounded):
-            running = CampaignRun(loop, schedule, Path(folder), bounded, door or DirectDoor())
+            running = CampaignRun(loop, schedule, Path(folder), bounded, door or DirectCommandChannel())
             runner.run(running.carry_out(heal=heal))
     watches, plant = running.watches, running.plant
     left = _open_handles() - handles
@@ -345,7 +345,7 @@ def run_schedule(schedule: Schedule, door: Door | None = None, *, heal: bool = T
         stop_latencies_s=tuple(latency_s for watch in watches for latency_s in watch.stop_latencies_s),
         lines=tuple(bounded.lines),
         moves=sum(isinstance(record, Move) for record in plant.records),
-        entered=tuple(
+        entered_modes=tuple(
             (record.time_monotonic_s, record.after) for record in plant.records if isinstance(record, ModeChange)
         ),
     )

@@ -17,7 +17,7 @@ _Instant = Annotated[float, Field(ge=-_YEAR_S, le=_YEAR_S, allow_inf_nan=False)]
 _Length = Annotated[float, Field(ge=0, le=_YEAR_S, allow_inf_nan=False)]
 _NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Section = Literal["site", "cube", "windows", "limits", "motion", "safety", "law", "positioner"]
-Chosen = dict[_Section, dict[str, JsonValue]]
+SettingsOverrides = dict[_Section, dict[str, JsonValue]]
 """Settings that are not the defaults, by section and key; ``positioner`` stands for ``instruments.positioner``."""
 
 
@@ -30,7 +30,7 @@ def _check_start(text: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Happening:
+class ScheduledEvent:
     """One thing that happens.
 
     Attributes
@@ -103,10 +103,10 @@ class Schedule:
     rehome: Literal["operator", "automatic"]
     synchronous: bool
     sky: tuple[_NotNegative, _NotNegative]
-    events: tuple[Happening, ...]
+    events: tuple[ScheduledEvent, ...]
     trackers: Annotated[int, Field(ge=1, le=MOST_TRACKERS)] = 1
     positioner: Literal["pozsol", "rotctld"] = "pozsol"
-    settings: Chosen = field(default_factory=dict)
+    settings: SettingsOverrides = field(default_factory=dict)
 
     @property
     def begin(self) -> datetime:

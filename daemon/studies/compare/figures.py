@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daemon.studies.compare.fit import Fit
 from daemon.studies.compare.gains import corrected_power
-from daemon.studies.compare.pairs import Pairs, Side
+from daemon.studies.compare.pairs import Pairs, TrackerSeries
 from daemon.studies.picture_file import save_picture
 from solar.compare import ChainBias, longest_gap_s
 from solar.ephemeris import Site, sun_position
@@ -132,7 +132,7 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
     return path
 
 
-def _inclination_and_azimuth(side: Side, site: Site) -> tuple[Array, Array]:
+def _inclination_and_azimuth(side: TrackerSeries, site: Site) -> tuple[Array, Array]:
     azimuth, elevation = azimuth_from_direction(normal_from_angles(side.a_deg, side.b_deg), site.latitude_deg)
     return 90.0 - elevation, np.where(90.0 - elevation > _FLAT_DEG, _about_equator(azimuth, site), np.nan)
 

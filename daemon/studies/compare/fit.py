@@ -75,7 +75,7 @@ def flat_pairs(pairs: Pairs, start: datetime | None = None, end: datetime | None
             f"there is no period in which {pairs.names[0]} and {pairs.names[1]} both lay flat with {LEAST_W:g} W or"
             f" more ({count} pairs, {LEAST_PAIRS} are needed): {remedy}"
         )
-    return pairs.where(chosen)
+    return pairs.select(chosen)
 
 
 def fit(flat: Pairs) -> Fit:

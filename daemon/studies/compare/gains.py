@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
-from daemon.base.files import whole_file
+from daemon.base.files import atomic_text_file
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.text_table import signed, table
@@ -96,14 +96,14 @@ def gains(pairs: Pairs, bias: ChainBias | None, spans: Sequence[Span], site: Sit
     days = solar_days(pairs.utc_s, site.longitude_deg)
     for day in np.unique(days).tolist():
         date = iso_utc(day * DAY_S)[:10]
-        of_day = pairs.where(days == day)
+        of_day = pairs.select(days == day)
         # The longest gap is found for each day: tables of several days may have different rates.
         gap_s = longest_gap_s(of_day.utc_s)
         found.append(_gain(of_day, bias, date, WHOLE_DAY, gap_s))
         for span in spans:
             inside = _inside(pairs, span)
             if inside.sum() > 1 and days[inside][0] == day:
-                found.append(_gain(pairs.where(inside), bias, date, span.name, gap_s))
+                found.append(_gain(pairs.select(inside), bias, date, span.name, gap_s))
     return found
 
 
@@ -122,7 +122,7 @@ def _gain(pairs: Pairs, bias: ChainBias | None, date: str, period: str, gap_s: f
     beyond = np.nan
     measured = sum_up(pairs.cube.pmpp_w)
     if bias is not None and measured > 0.0:
-        outside = np.where(bias.beyond(pairs.cube.pmpp_w), pairs.cube.pmpp_w, 0.0)
+        outside = np.where(bias.is_extrapolated(pairs.cube.pmpp_w), pairs.cube.pmpp_w, 0.0)
         beyond = 100.0 * sum_up(outside) / measured
     start, end = (iso_utc(float(time[place]))[:19] for place in (0, -1))
     return Gain(
@@ -177,7 +177,7 @@ def extrapolation(rows: Sequence[Gain], name: str) -> str | None:
 
 def write_csv(rows: Sequence[Gain], path: Path) -> None:
     """Write the gains as CSV; what is not known is empty."""
-    with whole_file(path) as file:
+    with atomic_text_file(path) as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow([field.name for field in fields(Gain)])
         for row in rows:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from daemon.base.clock import iso_utc
 from daemon.base.errors import UserError
 from daemon.studies.compare.measurements import OPTIONAL, REQUIRED, SIMULATED, Measurement
-from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8
+from daemon.studies.inputs import check_frame, check_table, impossible_note, not_utf8_error
 from solar.frames import Array
-from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, possible
-from solar.tables import broken_line, unreadable, utc_times, why_unread, zone_note
+from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, is_possible
+from solar.tables import broken_line, read_error_text, unreadable, utc_times, zone_note
 
 TOGETHER_WITHIN_S = 5.0
 _NUMBERS = ("pmpp_w", *OPTIONAL)
@@ -26,7 +26,7 @@ _POWER_W = (-5.0, 2000.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class TrackerSeries:
     """One tracker's values, arrays of shape (n,); NaN for unknown. As in :class:`Measurement`."""
 
     pmpp_w: Array
@@ -35,9 +35,9 @@ class Side:
     b_deg: Array
     module_temp_degc: Array
 
-    def where(self, chosen: NDArray[np.bool_]) -> "Side":
+    def select(self, chosen: NDArray[np.bool_]) -> "TrackerSeries":
         """Return some of the measurements."""
-        return Side(*(getattr(self, field.name)[chosen] for field in fields(Side)))
+        return TrackerSeries(*(getattr(self, field.name)[chosen] for field in fields(TrackerSeries)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +60,18 @@ class Pairs:
 
     names: tuple[str, str]
     utc_s: Array
-    cube: Side
-    chrono: Side
+    cube: TrackerSeries
+    chrono: TrackerSeries
     diffuse_fraction: Array
     simulated: bool = False
 
-    def where(self, chosen: NDArray[np.bool_]) -> "Pairs":
+    def select(self, chosen: NDArray[np.bool_]) -> "Pairs":
         """Return some of the pairs."""
         return Pairs(
             names=self.names,
             utc_s=self.utc_s[chosen],
-            cube=self.cube.where(chosen),
-            chrono=self.chrono.where(chosen),
+            cube=self.cube.select(chosen),
+            chrono=self.chrono.select(chosen),
             diffuse_fraction=self.diffuse_fraction[chosen],
             simulated=self.simulated,
         )
@@ -138,7 +138,8 @@ def pair(frame: pd.DataFrame, names: tuple[str, str], within_s: float = TOGETHER
             " over the same time"
         )
     cube, chrono = (
-        Side(*(both[f"{field.name}_{side}"].to_numpy(float) for field in fields(Side))) for side in ("cube", "chrono")
+        TrackerSeries(*(both[f"{field.name}_{side}"].to_numpy(float) for field in fields(TrackerSeries)))
+        for side in ("cube", "chrono")
     )
     ghi, dhi = (
         both[f"{name}_cube"].fillna(both[f"{name}_chrono"]).to_numpy(float) for name in ("ghi_w_m2", "dhi_w_m2")
@@ -163,10 +164,10 @@ def _read(path: Path) -> tuple[pd.DataFrame, tuple[str, str]]:
     except FileNotFoundError:
         raise UserError(f"there is no file {path} with measured powers") from None
     except UnicodeDecodeError:
-        raise not_utf8(path) from None
+        raise not_utf8_error(path) from None
     except (OSError, EOFError, zlib.error, ValueError) as error:
         # Errors of pandas and pyarrow derive from ValueError; the others come from a .gz that is cut off or damaged.
-        raise UserError(f"{path} cannot be read: {why_unread(error)}") from None
+        raise UserError(f"{path} cannot be read: {read_error_text(error)}") from None
     table = table.drop(columns=[name for name in ("index",) if name in table]).dropna(how="all")
     missing = [name for name in REQUIRED if name not in table]
     unknown = [str(name) for name in table if name not in _COLUMNS]
@@ -223,7 +224,7 @@ def _leave_out_impossible(frame: pd.DataFrame, path: Path) -> str | None:
     """Replace impossible irradiances by NaN, and return a sentence on how many there are, or None."""
     columns = list(_IRRADIANCES)
     values = frame[columns].to_numpy(float)
-    wrong = ~(possible(values) | np.isnan(values))
+    wrong = ~(is_possible(values) | np.isnan(values))
     if not wrong.any():
         return None
     row, column = np.argwhere(wrong)[0].tolist()

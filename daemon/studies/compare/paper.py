@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from daemon.base.errors import UserError
-from daemon.base.files import replace_file, whole_file
-from daemon.base.words import counted
+from daemon.base.files import atomic_text_file, replace_file
+from daemon.base.words import pluralise
 from daemon.config.file import override
 from daemon.config.plugged import FALLBACK_LAW
 from daemon.config.settings import Settings
@@ -20,8 +20,15 @@ from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts
 from daemon.studies.compare.fit import Fit, fit, flat_pairs
 from daemon.studies.compare.gains import WHOLE_DAY, Gain, gains
 from daemon.studies.compare.pairs import Pairs, frame_of, pair
-from daemon.studies.compare.report import Table, bias_shown, experiment_figures, fit_table, modelled_curve, write_page
-from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, side_by_side, two_trackers
+from daemon.studies.compare.report import (
+    Table,
+    captioned_bias_figure,
+    experiment_figures,
+    fit_table,
+    modelled_curve,
+    write_page,
+)
+from daemon.studies.compare.side_by_side import MODULES, T_CHRONO, T_CUBE, run_side_by_side, two_trackers
 from daemon.studies.compare.spans import Span
 from daemon.studies.spread.workers import Workers, gather
 from daemon.studies.text_table import signed, table
@@ -42,7 +49,7 @@ def _october_utc_s(day: int, hour: int, minute: int = 0) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Printed:
+class PaperGain:
     """The paper's gain in one period, and the bounds between which ours has to lie [%]."""
 
     span: Span
@@ -52,15 +59,15 @@ class Printed:
 
 
 # The afternoon's end is not printed; sunset is at 17:10.
-PRINTED = (
-    Printed(Span("clear", _october_utc_s(12, 7), _october_utc_s(12, 10, 20)), -0.15, -0.5, 0.1),
-    Printed(Span("overcast", _october_utc_s(12, 10, 20), _october_utc_s(12, 12, 10)), 12.7, 10.0, np.inf),
-    Printed(Span("variable", _october_utc_s(12, 12, 10), _october_utc_s(12, 17, 15)), -1.0, -2.0, 1.0),
-    Printed(Span("overcast day", _october_utc_s(14, 5), _october_utc_s(14, 17, 30)), 40.5, 25.0, np.inf),
+PAPER_GAINS = (
+    PaperGain(Span("clear", _october_utc_s(12, 7), _october_utc_s(12, 10, 20)), -0.15, -0.5, 0.1),
+    PaperGain(Span("overcast", _october_utc_s(12, 10, 20), _october_utc_s(12, 12, 10)), 12.7, 10.0, np.inf),
+    PaperGain(Span("variable", _october_utc_s(12, 12, 10), _october_utc_s(12, 17, 15)), -1.0, -2.0, 1.0),
+    PaperGain(Span("overcast day", _october_utc_s(14, 5), _october_utc_s(14, 17, 30)), 40.5, 25.0, np.inf),
 )
 
 
-SPANS = tuple(printed.span for printed in PRINTED)
+SPANS = tuple(printed.span for printed in PAPER_GAINS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +167,7 @@ def _one_day(
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Pairs:
     weather = build_weather_in_parts(settings, parts)
-    measured = side_by_side(
+    measured = run_side_by_side(
         settings,
         two_trackers(*laws),
         lambda clock: build_simulated_pair(settings, clock, weather, MODULES),
@@ -180,14 +187,14 @@ def _weather_of_twelfth(afternoon: WeatherName) -> Parts:
     ]
 
 
-def ceilings(site: Site, limits: Limits, albedo: float = 0.2) -> list[tuple[str, str, float]]:
+def overcast_gain_limits(site: Site, limits: Limits, albedo: float = 0.2) -> list[tuple[str, str, float]]:
     """Return what lying flat gains over facing the sun under a closed sky, for each overcast period and sky.
 
     The result has triples of period, sky and gain in irradiation [%]. Horizontal irradiance is proportional to the sine
     of the sun's elevation, as under cloud of uniform thickness.
     """
     found = []
-    for printed in (PRINTED[1], PRINTED[3]):
+    for printed in (PAPER_GAINS[1], PAPER_GAINS[3]):
         utc_s = np.arange(printed.span.start_utc_s, printed.span.end_utc_s, 60.0)
         sun = sun_direction(utc_s, *site)
         sun = sun[sun[:, 2] > 0.0]
@@ -207,10 +214,10 @@ class Spread:
     has to give the paper's results; other laws have no bounds to keep.
     """
 
-    printed: Printed
+    printed: PaperGain
     sky: SkyModel
     gains_pct: tuple[float, ...]
-    asked: bool
+    has_bounds: bool
 
     @property
     def median_pct(self) -> float:
@@ -224,14 +231,14 @@ class Spread:
         return float(low), float(high)
 
     @property
-    def inside(self) -> int:
+    def count_within_bounds(self) -> int:
         """How many weathers give a gain within the bounds."""
         return sum(self.printed.lowest_pct <= gain <= self.printed.highest_pct for gain in self.gains_pct)
 
     @property
-    def of_all(self) -> str:
-        """`inside` beside the number of all weathers, as text; empty where there are no bounds to keep."""
-        return f"{self.inside} of {len(self.gains_pct)}" if self.asked else ""
+    def within_bounds_text(self) -> str:
+        """`count_within_bounds` beside the number of all weathers, as text; empty where there are no bounds to keep."""
+        return f"{self.count_within_bounds} of {len(self.gains_pct)}" if self.has_bounds else ""
 
 
 def spreads(runs: Sequence[Run], cube_law: str) -> list[Spread]:
@@ -246,7 +253,7 @@ def spreads(runs: Sequence[Run], cube_law: str) -> list[Spread]:
             ),
             cube_law == "mu-prime",
         )
-        for printed in PRINTED
+        for printed in PAPER_GAINS
         for sky in skies
     ]
 
@@ -255,13 +262,13 @@ def notes(settings: Settings, afternoon: WeatherName, cube_law: str, seeds: int,
     """Return paragraphs on what the experiment assumes and what it cannot show, for `done` of `asked` runs."""
     limits = settings.limits.limits()
     cube, simulated = settings.cube, settings.simulation
-    closed = ceilings(settings.site.place(), limits)
+    closed = overcast_gain_limits(settings.site.place(), limits)
     texts = ", ".join(f"{period} {sky} {gain:+z.1f} %" for period, sky, gain in closed)
     early = "" if done == asked else f" ({done} of these {asked} runs: it was ended before the others)"
     assumed = (
         f"SIMULATED. T-Cube runs {cube_law}, T-Chrono chronometric, as two services fed by one cube:"
         f" a scan every {cube.scan_every_s:g} s, noise of {simulated.sensor_noise_mv:g} mV, gain errors of"
-        f" {100.0 * simulated.sensor_gain_error:g} %. Built-in weather, {counted(seeds, 'seed')} from 1 on for each"
+        f" {100.0 * simulated.sensor_gain_error:g} %. Built-in weather, {pluralise(seeds, 'seed')} from 1 on for each"
         f" sky{early}: on 12 October clear until 10:20, overcast until 12:10, then '{afternoon}'; on 14 October"
         " overcast."
         " The gain is equation (16) on Pmpp after the second-order correction, which is fitted on a simulated clear day"
@@ -297,7 +304,7 @@ def as_text(found: Sequence[Spread]) -> str:
     return "\n".join(table(lines, keys=2)) + "\n"
 
 
-def as_page(one: Spread) -> dict[str, Any]:
+def as_dict(one: Spread) -> dict[str, Any]:
     """Return one period under one sky for scripts; gains in percent, infinite where there is no bound."""
     printed = one.printed
     return {
@@ -308,7 +315,7 @@ def as_page(one: Spread) -> dict[str, Any]:
         "median_pct": one.median_pct,
         "quartiles_pct": one.quartiles_pct,
         "gains_pct": one.gains_pct,
-        "within": one.inside if one.asked else None,
+        "within": one.count_within_bounds if one.has_bounds else None,
     }
 
 
@@ -328,7 +335,7 @@ def write_paper(
         columns,
         [(one.printed.span.name, one.sky, *_numbers(one)) for one in found],
     )
-    shown = [bias_shown(correction.flat, correction.found)]
+    shown = [captioned_bias_figure(correction.flat, correction.found)]
     paragraphs = list(paragraphs)
     for first in (run for run in runs if run.pairs):
         shown = [one for one in (modelled_curve(first.pairs[0]),) if one is not None] + shown
@@ -338,7 +345,7 @@ def write_paper(
     try:
         out.mkdir(parents=True, exist_ok=True)
         replace_file(out / "paper.txt", text)
-        with whole_file(out / "paper.csv") as file:
+        with atomic_text_file(out / "paper.csv") as file:
             rows = csv.writer(file, lineterminator="\n")
             names = ("sky", "seed", "period", "cube_wh", "chrono_wh", "gain_pct", "irradiation_pct", "simulated")
             rows.writerow(names)
@@ -352,7 +359,7 @@ def write_paper(
     write_page(out / "paper.html", title, paragraphs, [table, fit_table(correction.found)], shown)
 
 
-def _bounds(printed: Printed) -> str:
+def _bounds(printed: PaperGain) -> str:
     if np.isinf(printed.highest_pct):
         return f"{printed.lowest_pct:+g} or more"
     return f"{printed.lowest_pct:+g}..{printed.highest_pct:+g}"
@@ -360,6 +367,6 @@ def _bounds(printed: Printed) -> str:
 
 def _numbers(one: Spread) -> tuple[str, ...]:
     printed, (low, high) = one.printed, one.quartiles_pct
-    asked = (signed(printed.paper_pct, 2), _bounds(printed), one.of_all)
+    asked = (signed(printed.paper_pct, 2), _bounds(printed), one.within_bounds_text)
     all_of_them = f"{min(one.gains_pct):+z.2f}..{max(one.gains_pct):+z.2f}"
     return (*asked, signed(one.median_pct, 2), f"{low:+z.2f}..{high:+z.2f}", all_of_them)

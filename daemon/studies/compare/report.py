@@ -19,7 +19,7 @@ from daemon.studies.compare.gains import Gain, extrapolation, gains, spans_by_sk
 from daemon.studies.compare.pairs import Pairs
 from daemon.studies.compare.spans import Span
 from daemon.studies.compare.stored import KeptCurve
-from daemon.studies.stamp import stamped
+from daemon.studies.stamp import stamp_simulated
 from daemon.studies.text_table import signed
 from solar.ephemeris import DAY_S, Site, solar_days
 from solar.pv_module import Q_PEAK_G4_1_305, curve, maximum_power
@@ -30,7 +30,7 @@ td.t,th.t{text-align:left}figure{margin:2rem 0}img{max-width:100%}figcaption{col
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class CaptionedFigure:
     """One figure of the report: its file's name, what the caption says, and the figure."""
 
     name: str
@@ -47,7 +47,7 @@ class Table:
     rows: Sequence[tuple[str, ...]]
 
 
-def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Shown]:
+def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[CaptionedFigure]:
     """Return Figures 11 and 12 for every day with power (Figure 13 is 11 for the paper's second day)."""
     shown = []
     bias = None if found is None else found.bias
@@ -55,12 +55,12 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
     cube, chrono = pairs.names
     mark = _simulated_prefix(pairs)
     for day in np.unique(days).tolist():
-        part = pairs.where(days == day)
+        part = pairs.select(days == day)
         if part.utc_s.size < 2:
             continue
         date = iso_utc(day * DAY_S)[:10]
         shown.append(
-            Shown(
+            CaptionedFigure(
                 f"power-{date}",
                 f"Pmpp of {cube}{'' if bias is None else ', corrected,'} and {chrono} on {date}"
                 " (the paper's Figures 11 and 13).",
@@ -69,7 +69,7 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
         )
         if np.isfinite(part.cube.b_deg).any() and np.isfinite(part.chrono.b_deg).any():
             shown.append(
-                Shown(
+                CaptionedFigure(
                     f"movement-{date}",
                     f"Movement of both trackers and the sun's path on {date} (the paper's Figure 12).",
                     figures.movement_figure(part, site, f"{mark}Movement of {cube} and {chrono}, {date}"),
@@ -78,13 +78,15 @@ def experiment_figures(pairs: Pairs, found: Fit | None, site: Site) -> list[Show
     return shown
 
 
-def bias_shown(flat: Pairs, found: Fit) -> Shown:
+def captioned_bias_figure(flat: Pairs, found: Fit) -> CaptionedFigure:
     """Return the figure of the fit."""
     caption = f"{flat.names[0]} against {flat.names[1]} while both lay flat (the paper's Figure 4)."
-    return Shown("bias", _simulated_prefix(flat) + caption, stamped(figures.bias_figure(flat, found), flat.simulated))
+    return CaptionedFigure(
+        "bias", _simulated_prefix(flat) + caption, stamp_simulated(figures.bias_figure(flat, found), flat.simulated)
+    )
 
 
-def modelled_curve(pairs: Pairs) -> Shown | None:
+def modelled_curve(pairs: Pairs) -> CaptionedFigure | None:
     """Return the model's I-V curve for T-Cube's highest power, if irradiance and module temperature are known."""
     side = pairs.cube
     known = np.isfinite(side.irradiance_w_m2) & np.isfinite(side.module_temp_degc) & (side.pmpp_w > 0.0)
@@ -104,17 +106,17 @@ def modelled_curve(pairs: Pairs) -> Shown | None:
         " module and not measured, for the time of its highest power"
         f" ({side.pmpp_w[place]:.1f} W {_source(pairs)}; the paper's Figure 3)."
     )
-    return Shown("curve", caption, figure)
+    return CaptionedFigure("curve", caption, figure)
 
 
-def kept_curve_shown(kept: KeptCurve, pairs: Pairs) -> Shown:
+def captioned_kept_curve(kept: KeptCurve, pairs: Pairs) -> CaptionedFigure:
     """Return the figure of a measured I-V curve."""
     name, when = pairs.names[0], iso_utc(kept.time_utc_s)[:19]
     figure = figures.curve_figure(kept.voltage_v, kept.current_a, f"{_simulated_prefix(pairs)}{name}, {when}Z")
     caption = (
         f"I(V) and P(V) of {name}'s module as {_source(pairs)}, the curve of its highest power (the paper's Figure 3)."
     )
-    return Shown("curve", caption, figure)
+    return CaptionedFigure("curve", caption, figure)
 
 
 def gain_table(rows: Sequence[Gain], names: tuple[str, str], heading: str = "Equation (16)") -> Table:
@@ -183,10 +185,10 @@ def write_report(
     UserError
         `out` cannot take the files, or one of them is there already.
     """
-    curve_shown = modelled_curve(pairs) if kept is None else kept_curve_shown(kept, pairs)
+    curve_shown = modelled_curve(pairs) if kept is None else captioned_kept_curve(kept, pairs)
     shown = [one for one in (curve_shown,) if one is not None]
     if found is not None and flat is not None:
-        shown.append(bias_shown(flat, found))
+        shown.append(captioned_bias_figure(flat, found))
     shown += experiment_figures(pairs, found, site)
     # Only now it is known which figures there are. All files are checked before any of them is written.
     check_outputs([out / "report.html", out / "gains.csv", *figure_files(out, shown)], "--out", force=force)
@@ -212,12 +214,14 @@ def write_report(
     return rows
 
 
-def figure_files(out: Path, shown: Sequence[Shown]) -> list[Path]:
+def figure_files(out: Path, shown: Sequence[CaptionedFigure]) -> list[Path]:
     """Return the files of the figures in a folder."""
     return [out / f"{one.name}.{ending}" for one in shown for ending in ("png", "svg")]
 
 
-def write_page(path: Path, title: str, notes: Sequence[str], tables: Sequence[Table], shown: Sequence[Shown]) -> None:
+def write_page(
+    path: Path, title: str, notes: Sequence[str], tables: Sequence[Table], shown: Sequence[CaptionedFigure]
+) -> None:
     """Write the figures beside `path`, and to `path` a page that needs no other file."""
     parts = [
         f"<!DOCTYPE html><html lang='en'><meta charset='utf-8'><title>{escape(title)}</title><style>{_STYLE}</style>",

@@ -10,10 +10,10 @@ import numpy as np
 
 from daemon.base.clock import Clock, LoopClock, iso_utc
 from daemon.base.errors import UserError
-from daemon.base.process import TRACKER, Notifier, simulated_time_in_log
+from daemon.base.process import CURRENT_TRACKER, SystemdNotifier, simulated_time_in_log
 from daemon.base.records import Bus, Record
 from daemon.base.timeloop import virtual_time
-from daemon.config.file import on_a_port_of_its_own, override
+from daemon.config.file import override, with_loopback_bridge
 from daemon.config.links import StoreSettings
 from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
@@ -47,7 +47,7 @@ CUBE_MODULE = replace(
 MODULES = (CUBE_MODULE, Q_PEAK_G4_1_305)
 # Assumed: standard deviation of one measured power, as a share of it. It leaves about the rMAE that the paper has after
 # its correction (1.27 %).
-NOISE = 0.01
+POWER_NOISE_SHARE = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ def two_trackers(
     return ComparedTracker(T_CUBE, cube_law), ComparedTracker(T_CHRONO, chrono_law)
 
 
-def side_by_side(
+def run_side_by_side(
     settings: Settings,
     trackers: tuple[ComparedTracker, ComparedTracker],
     build: Callable[[Clock], SimulatedPair],
@@ -101,7 +101,7 @@ def side_by_side(
     UserError
         A law has failed, so that another one points in its place.
     """
-    settings = on_a_port_of_its_own(override(settings, {"motion": _UNLIMITED}), insecure=True).model_copy(
+    settings = with_loopback_bridge(override(settings, {"motion": _UNLIMITED}), insecure=True).model_copy(
         update={"store": StoreSettings(), "tracker": ()}
     )
     with virtual_time() as runner:
@@ -152,7 +152,7 @@ async def _run_both(
         tracker = trackers[which]
         own = settings.model_copy(
             update={
-                "law": LAW.rechosen(settings.law, tracker.law),
+                "law": LAW.with_driver(settings.law, tracker.law),
                 "bridge": settings.bridge.model_copy(update={"send_to": send_to, "transport": "udp"}),
             }
         )
@@ -160,7 +160,7 @@ async def _run_both(
         bus.subscribe(lambda record: keep(tracker.name, record))
         # A scan's session comes from here: two simulations in one store must not take each other's scans for their own.
         random = Random(f"{settings.simulation.seed} {start_utc_s} {which}")  # noqa: S311 - nothing secret depends on it
-        instruments, unseen = pair.rigs[which], Notifier({}, 0)
+        instruments, unseen = pair.rigs[which], SystemdNotifier({}, 0)
         services.append(Service(own, role, instruments, clock, random, bus, None, unseen, polling=SIMULATED))
         return services[-1]
 
@@ -177,12 +177,12 @@ async def _run_both(
     async def the_other() -> None:
         # The second tracker's port is open by now, so the cube can send to it.
         assert chrono.receiver is not None  # noqa: S101 - narrowing; a tracker has one
-        TRACKER.set(trackers[0].name)
+        CURRENT_TRACKER.set(trackers[0].name)
         cube = service(0, Role.BOTH, (chrono.receiver.address,))
         await cube.run(cube_stop, poses.follow(), count_down())
         chrono_stop.set()
 
-    TRACKER.set(trackers[1].name)
+    CURRENT_TRACKER.set(trackers[1].name)
     chrono = service(1, Role.TRACKER)
     await chrono.run(chrono_stop, the_other())
 
@@ -215,7 +215,7 @@ def _measure(
             falling = light.irradiance_on(normal_from_angles(a_deg, b_deg), settings.simulation.albedo)
             warm = cell_temperature(falling, air, wind)
             true = maximum_power(MODULES[which], falling, warm).pmpp_w
-            power = true * (1.0 + NOISE * random.standard_normal(true.shape))
+            power = true * (1.0 + POWER_NOISE_SHARE * random.standard_normal(true.shape))
             columns = (power, falling, a_deg, b_deg, warm, light.ghi_w_m2, light.dhi_w_m2)
             rows.append(np.column_stack(columns).tolist())
         lit = light.ghi_w_m2 > 0.0

@@ -196,7 +196,7 @@ def _refuse_real(path: Path) -> None:
 
 
 @contextmanager
-def keeping(
+def open_simulation_stores(
     settings: Settings, names: Sequence[str], directory: Path, start_utc_s: float
 ) -> Iterator[Callable[[str, Record], None]]:
     """Keep the records of simulated trackers in one store, as a run for each; yields a function that keeps a record.

@@ -11,41 +11,41 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.base.errors import UserError, raised_at
-from daemon.base.files import whole_file
-from daemon.base.words import counted
+from daemon.base.errors import UserError, error_location
+from daemon.base.files import atomic_text_file
+from daemon.base.words import pluralise
 from daemon.config.plugged import FALLBACK_LAW
-from daemon.rigs.measured import by_the_minute, measured_weather
-from daemon.studies.energy.names import BOUND, FIXED, choice
+from daemon.rigs.measured import merge_to_minutes, read_weather
+from daemon.studies.energy.names import BOUND, FIXED, parse_law
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import (
     DAY_TYPES,
     DaylightWeather,
     Drive,
     Harvest,
-    Shining,
+    IrradianceSource,
     Steer,
     best_possible,
     build_sky,
-    faces_under,
-    fixed,
+    face_irradiances,
     harvest,
+    steer_fixed_tilt,
 )
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
 from solar.laws.law import Law, TrackerFacts
-from solar.laws.steer import LawFailedError, by_readings
+from solar.laws.steer import LawFailedError, steer_by_readings
 
 _PVLIB = (
     "The skies isotropic, haydavies and perez1990 agree with pvlib's above 5 deg of the sun's elevation; below it a"
     " horizontal plane keeps its GHI."
 )
-UNLIMITED = (
+NO_BUDGET_NOTE = (
     "There is no daily budget of moves and travel here: the service follows the sun by the clock once three quarters of"
     " its motion.travel_per_day_deg are used, which concerns laws that turn to and fro under broken clouds, such as"
     " mu-prime and sun-vector, and not optimal, which has a smaller budget of its own."
 )
-IDEAL = Drive(np.inf, 0.0, 1)
+IDEAL_DRIVE = Drive(np.inf, 0.0, 1)
 _HEADS = ("law", "kWh/m2", "gain %", *DAY_TYPES, "share %", "worst clear", "deg/day", "return", "moves")
 _TYPE_GAIN_COLUMNS = tuple(f"gain_{day_type}_pct" for day_type in DAY_TYPES)
 # Where less than this share of the daylight is known, the ways from and to the night position weigh too much.
@@ -88,7 +88,7 @@ class EnergyRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class Assumptions:
     """What the benchmark assumes of ground and tracker."""
 
     albedo: float
@@ -102,7 +102,7 @@ class DaysUnderSky:
 
     Attributes
     ----------
-    weather, terms
+    weather, assumptions
         Days, and what is assumed of ground and tracker.
     light, faces
         The sky, and what the cube's faces read under it [W/m2], shape (n, 4).
@@ -111,27 +111,27 @@ class DaysUnderSky:
     """
 
     weather: DaylightWeather
-    terms: Terms
-    light: Shining
+    assumptions: Assumptions
+    light: IrradianceSource
     faces: Array
     bound_kwh_m2: Array
     chronometric_kwh_m2: Array
 
     def run(self, steer: Steer, drive: Drive) -> Harvest:
         """Drive a tracker through all days."""
-        return harvest(self.weather, self.light, self.terms.albedo, drive, steer)
+        return harvest(self.weather, self.light, self.assumptions.albedo, drive, steer)
 
 
-def under_sky(weather: DaylightWeather, sky: str, terms: Terms) -> DaysUnderSky:
+def under_sky(weather: DaylightWeather, sky: str, assumptions: Assumptions) -> DaysUnderSky:
     """Return the days under one of SKIES."""
     light = build_sky(weather, sky)
-    faces = faces_under(light, terms.albedo)
-    bound = weather.by_day(best_possible(weather, light, terms.limits, terms.albedo))
-    by_the_clock = steer_of(FALLBACK_LAW, weather, faces, terms)
-    chronometric = harvest(weather, light, terms.albedo, IDEAL, by_the_clock).energy_kwh_m2
+    faces = face_irradiances(light, assumptions.albedo)
+    bound = weather.by_day(best_possible(weather, light, assumptions.limits, assumptions.albedo))
+    by_the_clock = steer_of(FALLBACK_LAW, weather, faces, assumptions)
+    chronometric = harvest(weather, light, assumptions.albedo, IDEAL_DRIVE, by_the_clock).energy_kwh_m2
     return DaysUnderSky(
         weather=weather,
-        terms=terms,
+        assumptions=assumptions,
         light=light,
         faces=faces,
         bound_kwh_m2=bound,
@@ -143,7 +143,7 @@ def run_benchmark(
     weather: DaylightWeather,
     skies: Sequence[str],
     law_names: Sequence[str],
-    terms: Terms,
+    assumptions: Assumptions,
     progress: Callable[[float], None],
 ) -> Iterator[EnergyRow]:
     """Yield the row of every law under every sky, as soon as it is done; `progress` is told the share that is done.
@@ -154,7 +154,7 @@ def run_benchmark(
     total = len(skies) * (len(law_names) + 1)
     types, whole_days = weather.day_types(), weather.whole_days()
     for sky_name in skies:
-        days = under_sky(weather, sky_name, terms)
+        days = under_sky(weather, sky_name, assumptions)
         bound = days.bound_kwh_m2
         chronometric = days.chronometric_kwh_m2
         summarise = partial(_row, sky_name, types=types, whole_days=whole_days, reference=chronometric, bound=bound)
@@ -169,9 +169,9 @@ def run_benchmark(
 
 
 def _harvest_of(name: str, days: DaysUnderSky) -> Harvest:
-    drive = IDEAL if name.startswith(FIXED) else days.terms.drive
+    drive = IDEAL_DRIVE if name.startswith(FIXED) else days.assumptions.drive
     try:
-        found = days.run(steer_of(name, days.weather, days.faces, days.terms), drive)
+        found = days.run(steer_of(name, days.weather, days.faces, days.assumptions), drive)
     except UserError:
         raise
     except LawFailedError as error:
@@ -189,12 +189,12 @@ def _harvest_without_travel(energy_kwh_m2: Array) -> Harvest:
 
 def _cause(error: BaseException) -> str:
     """Return an error in words, with the line that raised it."""
-    return f"{type(error).__name__}: {error} ({raised_at(error)})"
+    return f"{type(error).__name__}: {error} ({error_location(error)})"
 
 
 def write_csv(rows: Sequence[EnergyRow], path: Path, *, simulated: bool) -> None:
     """Write the rows, one line each, with whether the weather was simulated."""
-    with whole_file(path) as file:
+    with atomic_text_file(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("sky", "law", *CSV_NUMBERS, "simulated"))
         writer.writerows((row.sky, row.law, *csv_cells(row), "true" if simulated else "false") for row in rows)
@@ -207,14 +207,14 @@ def csv_cells(row: EnergyRow) -> list[str]:
     return ["" if np.isnan(value) else f"{value:z.4f}" for value in (*numbers, *travel)]
 
 
-def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> str:
+def as_text(rows: Sequence[EnergyRow], weather: DaylightWeather, assumptions: Assumptions, *, simulated: bool) -> str:
     """Return the tables of all skies and what they assume, for reading."""
-    lines = conditions(weather, terms, simulated=simulated)
+    lines = describe_conditions(weather, assumptions, simulated=simulated)
     travel = (
         "Travel adds A and B from the night position on; the way back to it at night is in its own column. A day of"
         " which half is missing counts half."
     )
-    lines += [line for text in (travel, UNLIMITED, *_partial_days_caution(weather)) for line in wrap(text, WIDTH)]
+    lines += [line for text in (travel, NO_BUDGET_NOTE, *_partial_days_caution(weather)) for line in wrap(text, WIDTH)]
     for name in dict.fromkeys(row.sky for row in rows):
         lines += ["", f"sky {name}", *table([_HEADS, *(_cells(row) for row in rows if row.sky == name)])]
     return "\n".join(lines) + "\n"
@@ -226,28 +226,35 @@ def _partial_days_caution(weather: DaylightWeather) -> list[str]:
     if whole_days > _LEAST_WHOLE_SHARE * lit:
         return []
     text = (
-        f"The records are of parts of {counted(lit, 'day')}, which count as {whole_days:.2f} whole days. The ways from"
-        " and to the night position are made in full on each of them: travel and moves per day are more than those of"
-        " whole days."
+        f"The records are of parts of {pluralise(lit, 'day')}, which count as {whole_days:.2f} whole days. The ways"
+        " from and to the night position are made in full on each of them: travel and moves per day are more than those"
+        " of whole days."
     )
     return [text]
 
 
-def conditions(weather: DaylightWeather, terms: Terms, *, simulated: bool) -> list[str]:
+def describe_conditions(weather: DaylightWeather, assumptions: Assumptions, *, simulated: bool) -> list[str]:
     """Return lines of text on what the tables of a benchmark cover and what they assume."""
     types = weather.day_types()
     days = ", ".join(f"{np.count_nonzero(types == index)} {name}" for index, name in enumerate(DAY_TYPES))
-    moves = "ideal moves" if np.isinf(terms.drive.speed_deg_per_s) else f"{terms.drive.speed_deg_per_s:g} deg/s"
+    moves = (
+        "ideal moves" if np.isinf(assumptions.drive.speed_deg_per_s) else f"{assumptions.drive.speed_deg_per_s:g} deg/s"
+    )
     lines = [
         *(["SIMULATED: at least one weather file says that it was not measured."] if simulated else []),
-        f"{counted(int(np.count_nonzero(types >= 0)), 'day')} ({days}), {len(weather.utc_s)} minutes of daylight.",
-        f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time. Gains are over ideal chronometric.",
+        f"{pluralise(int(np.count_nonzero(types >= 0)), 'day')} ({days}), {len(weather.utc_s)} minutes of daylight.",
+        (
+            f"Albedo {assumptions.albedo:g}; {assumptions.limits}; {moves}, one axis at a time."
+            " Gains are over ideal chronometric."
+        ),
         _PVLIB,
     ]
     return [line for text in lines for line in wrap(text, WIDTH)]
 
 
-def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *, simulated: bool) -> dict[str, Any]:
+def as_dict(
+    rows: Sequence[EnergyRow], weather: DaylightWeather, assumptions: Assumptions, *, simulated: bool
+) -> dict[str, Any]:
     """Return the rows for scripts: gains in percent over ideal chronometric, by type of day under its name."""
     types = weather.day_types()
     return {
@@ -255,9 +262,9 @@ def as_page(rows: Sequence[EnergyRow], weather: DaylightWeather, terms: Terms, *
         "days": {name: int(np.count_nonzero(types == index)) for index, name in enumerate(DAY_TYPES)},
         "minutes_of_daylight": len(weather.utc_s),
         "whole_days": weather.whole_days(),
-        "albedo": terms.albedo,
-        "limits": terms.limits,
-        "speed_deg_per_s": terms.drive.speed_deg_per_s,
+        "albedo": assumptions.albedo,
+        "limits": assumptions.limits,
+        "speed_deg_per_s": assumptions.drive.speed_deg_per_s,
         "rows": [
             asdict(row) | {"gain_by_type_pct": dict(zip(DAY_TYPES, row.gain_by_type_pct, strict=True))} for row in rows
         ],
@@ -310,23 +317,23 @@ def _gain(energy: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
     return 100.0 * float(energy[chosen].sum() / reference[chosen].sum() - 1.0)
 
 
-def steer_of(name: str, weather: DaylightWeather, faces: Array, terms: Terms) -> Steer:
+def steer_of(name: str, weather: DaylightWeather, faces: Array, assumptions: Assumptions) -> Steer:
     """Return the function that steers the trackers of all days by the law, or the fixed plane, of this name."""
-    asked = choice(name)
+    asked = parse_law(name)
     if asked.law is None:
-        return fixed(weather, asked.tilt_deg or 0.0)
+        return steer_fixed_tilt(weather, asked.tilt_deg or 0.0)
     steer = getattr(asked.law, "steer", None)
     if steer is not None:
-        return cast("Steer", steer(asked.settings, weather, faces, terms.limits))
+        return cast("Steer", steer(asked.settings, weather, faces, assumptions.limits))
     build = asked.law.build
 
     def law_of(tracker: TrackerFacts) -> Law:
         return cast("Law", build(asked.settings, tracker))
 
-    return by_readings(law_of, weather, faces, terms.limits)
+    return steer_by_readings(law_of, weather, faces, assumptions.limits)
 
 
-class Minutes(NamedTuple):
+class MinuteWeather(NamedTuple):
     """Weather by the minute.
 
     Attributes
@@ -348,7 +355,7 @@ class Minutes(NamedTuple):
     simulated: bool
 
 
-def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
+def read_minute_weather(files: Sequence[Path], site: Site) -> MinuteWeather:
     """Read weather files.
 
     Between records up to an hour apart the weather is linear, also from one file to the next. Where files overlap, the
@@ -359,7 +366,7 @@ def measured_minutes(files: Sequence[Path], site: Site) -> Minutes:
     UserError
         A file cannot be read.
     """
-    weathers = [measured_weather(path) for path in files]
-    (utc_s, dni, dhi), warnings = by_the_minute(weathers, site)
+    weathers = [read_weather(path) for path in files]
+    (utc_s, dni, dhi), warnings = merge_to_minutes(weathers, site)
     simulated = any(weather.simulated for weather in weathers)
-    return Minutes(utc_s=utc_s, dni_w_m2=dni, dhi_w_m2=dhi, warnings=warnings, simulated=simulated)
+    return MinuteWeather(utc_s=utc_s, dni_w_m2=dni, dhi_w_m2=dhi, warnings=warnings, simulated=simulated)

@@ -11,7 +11,7 @@ from matplotlib.patches import Patch
 
 from daemon.studies.energy.losses import CAUSES, Losses
 from daemon.studies.picture_file import save_picture
-from daemon.studies.stamp import stamped
+from daemon.studies.stamp import stamp_simulated
 from solar.energy import DAY_TYPES
 
 # From bright to dull days; told apart in grey by brightness and by hatches.
@@ -25,7 +25,7 @@ def plot(found: Sequence[Losses], path: Path, *, simulated: bool) -> None:
     across = min(len(found), _IN_A_ROW)
     down = -(-len(found) // across)
     figure = Figure(figsize=(max(4.2 * across, 6.0), 2.9 * down + 0.9), layout="constrained")
-    stamped(figure, simulated, "SIMULATED WEATHER")
+    stamp_simulated(figure, simulated, "SIMULATED WEATHER")
     FigureCanvasAgg(figure)
     panels = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
     for axes, each in zip(panels, found, strict=False):

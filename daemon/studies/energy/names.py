@@ -9,14 +9,14 @@ from pydantic import ValidationError
 
 from daemon.base import plugins
 from daemon.base.errors import UserError
-from daemon.config.section import in_words
+from daemon.config.section import describe_error
 from drivers.numbers import read_number
 from solar.energy import SKIES
 from solar.laws.law import LawSettings
 
 FIXED, BOUND = "fixed", "bound"
 """Two that are no laws but are compared with them: a plane of some tilt that never moves, and the bound."""
-TOLD_APART = "optimal"
+LOSSES_LAW = "optimal"
 """The law whose losses can be told by cause: no other has a price and an expectation that can be taken away."""
 
 
@@ -30,14 +30,14 @@ def check_names(skies: Sequence[str], law_names: Sequence[str]) -> None:
         if name not in SKIES:
             raise UserError(f"--sky: there is no sky '{name}'; choose from {', '.join(SKIES)}")
     for name in law_names:
-        choice(name)
+        parse_law(name)
 
 
 def check_laws_of_losses(law_names: Sequence[str]) -> None:
     """Raise `UserError` for a law whose losses cannot be told apart."""
     for name in law_names:
-        if name.partition(":")[0] != TOLD_APART:
-            raise UserError(f"--losses is for {TOLD_APART} and {TOLD_APART}:THRIFT only, not for {name}")
+        if name.partition(":")[0] != LOSSES_LAW:
+            raise UserError(f"--losses is for {LOSSES_LAW} and {LOSSES_LAW}:THRIFT only, not for {name}")
 
 
 def default_names() -> tuple[str, ...]:
@@ -53,7 +53,7 @@ class AskedLaw(NamedTuple):
     tilt_deg: float | None = None
 
 
-def choice(name: str) -> AskedLaw:
+def parse_law(name: str) -> AskedLaw:
     """Return what a name of the command line means; `UserError` for a name that does not exist."""
     if name == BOUND:
         return AskedLaw()
@@ -70,7 +70,7 @@ def choice(name: str) -> AskedLaw:
             if module.SETTINGS.knob is not None:
                 return AskedLaw(module, module.SETTINGS(**{module.SETTINGS.knob: read_number(text)}))
     except ValidationError as error:
-        raise UserError(f"--laws: {name}: {in_words(error.errors()[0])}") from None
+        raise UserError(f"--laws: {name}: {describe_error(error.errors()[0])}") from None
     except ValueError:
         pass
     known = ", ".join((f"{FIXED}:DEG", *plugins.names(plugins.LAWS), BOUND))

@@ -15,9 +15,9 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox, BboxBase
 
 from daemon.studies.energy.benchmark import EnergyRow
-from daemon.studies.energy.names import BOUND, FIXED, choice
+from daemon.studies.energy.names import BOUND, FIXED, parse_law
 from daemon.studies.picture_file import save_picture
-from daemon.studies.stamp import stamped
+from daemon.studies.stamp import stamp_simulated
 from solar.energy import DAY_TYPES
 from solar.frames import Array
 
@@ -53,7 +53,7 @@ def picture(rows: Sequence[EnergyRow], *, simulated: bool = False) -> Figure:
     that never moves has no mark.
     """
     figure = Figure(figsize=(12.0, 5.6), dpi=120, layout="constrained")
-    stamped(figure, simulated, "SIMULATED WEATHER")
+    stamp_simulated(figure, simulated, "SIMULATED WEATHER")
     FigureCanvasAgg(figure)
     bars, wear = figure.subplots(1, 2)
     skies = list(dict.fromkeys(row.sky for row in rows))
@@ -207,7 +207,7 @@ def _name_laws(axes: Axes, rows: Sequence[EnergyRow]) -> None:
 
 def _tried_parameter(name: str) -> tuple[str, str]:
     """Return the name of a law's one parameter, and its value in this name of the command line."""
-    settings = choice(name).settings
+    settings = parse_law(name).settings
     assert settings is not None and settings.knob is not None  # noqa: S101, PT018 - nothing else has two values
     return settings.knob, f"{getattr(settings, settings.knob):g}"
 

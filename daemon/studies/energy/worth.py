@@ -61,7 +61,7 @@ class Worth:
     drive_years: float
 
     @property
-    def left(self) -> float:
+    def net_value(self) -> float:
         """The price of the energy less the cost of wear."""
         return self.energy - self.wear
 
@@ -111,14 +111,14 @@ def as_text(found: Sequence[Worth], years: float, prices: Prices) -> str:
     lines = ["", *wrap(assumed, WIDTH)]
     for sky in dict.fromkeys(each.sky for each in found):
         of_sky = [each for each in found if each.sky == sky]
-        best = max(of_sky, key=lambda each: each.left)
+        best = max(of_sky, key=lambda each: each.net_value)
         lines += ["", f"sky {sky}: most is left by {best.law}", *table([_HEADS, *map(_cells, of_sky)])]
     return "\n".join(lines) + "\n"
 
 
-def as_page(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
+def as_dict(found: Sequence[Worth], prices: Prices) -> dict[str, Any]:
     """Return what each law is worth, for scripts."""
-    return {"prices": asdict(prices), "rows": [asdict(each) | {"left": each.left} for each in found]}
+    return {"prices": asdict(prices), "rows": [asdict(each) | {"left": each.net_value} for each in found]}
 
 
 def _worth(row: EnergyRow, whole_days: float, years: float, prices: Prices) -> Worth:
@@ -136,4 +136,4 @@ def _worth(row: EnergyRow, whole_days: float, years: float, prices: Prices) -> W
 
 def _cells(each: Worth) -> list[str]:
     lasts = "-" if math.isinf(each.drive_years) else f"{each.drive_years:.1f} years"
-    return [each.law, f"{each.energy:.2f}", f"{each.wear:.2f}", f"{each.left:.2f}", lasts]
+    return [each.law, f"{each.energy:.2f}", f"{each.wear:.2f}", f"{each.net_value:.2f}", lasts]

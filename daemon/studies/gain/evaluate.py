@@ -79,7 +79,7 @@ def _evaluate_latitude(request: Request, latitude: float, sky: "SkySource | None
     days = gain.DAYS if request.days is None else request.days
     energies = exact_energies(latitude, tilts, days, azimuths)
     if year:
-        energies = energies.each(lambda energy: energy.sum(axis=-1, keepdims=True))
+        energies = energies.apply(lambda energy: energy.sum(axis=-1, keepdims=True))
     columns: Columns = {"phi_deg": np.array(latitude)}
     if request.tilts_deg is None:
         columns |= {f"beta_{device}_deg": getattr(tilts, device.value) for device in against}

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from daemon.base.errors import UserError
-from daemon.base.files import part_of
-from daemon.base.words import counted
+from daemon.base.files import atomic_output_path
+from daemon.base.words import pluralise
 from daemon.studies.gain.choices import AnswerFormat, Device
 from daemon.studies.gain.evaluate import Columns
 from daemon.studies.text_table import signed, table
@@ -55,13 +55,13 @@ def write(
         return
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with part_of(out) as part, part.open("wb") as file:
+        with atomic_output_path(out) as part, part.open("wb") as file:
             encode(columns, file)
     except OSError as error:
         raise UserError(f"--out: {out} cannot be written: {error.strerror}") from error
 
 
-def as_page(columns: Columns, sky_label: str | None) -> dict[str, Any]:
+def as_dict(columns: Columns, sky_label: str | None) -> dict[str, Any]:
     """Return `columns` for scripts: an object for each row, with the names of the CSV's columns."""
     values = [column.tolist() for column in _typed(columns).values()]
     return {"sky": sky_label, "rows": [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]}
@@ -80,7 +80,7 @@ def _show(columns: Columns, console: Console, sky_label: str | None, most_rows: 
     texts = [[name, *(_number(name, value) for value in columns[name][:most_rows])] for name in ordered]
     _print_aligned(list(zip(*texts, strict=True)), console, keys=len(told))
     if rows > most_rows:
-        _print(f"and {counted(rows - most_rows, 'row')} more: --format csv writes them all", console)
+        _print(f"and {pluralise(rows - most_rows, 'row')} more: --format csv writes them all", console)
     _print("\n" + _LEGEND, console)
     if sky_label:
         _print("..._sky: the same under that sky.", console)

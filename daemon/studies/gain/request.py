@@ -8,10 +8,10 @@ import numpy as np
 
 from daemon.base.errors import UserError
 from daemon.studies.gain.choices import Device
-from daemon.studies.inputs import check_names, check_table, not_utf8, with_point
+from daemon.studies.inputs import check_table, check_unique_columns, not_utf8_error, with_decimal_point
 from drivers.numbers import read_number
 from solar.frames import Array
-from solar.tables import CellError, numbered_rows, opened, why_unread
+from solar.tables import CellError, numbered_rows, open_table, read_error_text
 
 LARGEST_GRID = 20_000_000
 POINT_COLUMNS = {
@@ -115,7 +115,7 @@ def read_points(path: Path) -> dict[str, Array]:
     """
     separator = check_table(path)
     try:
-        with opened(path) as file:
+        with open_table(path) as file:
             lines = numbered_rows(file, separator)
             header = [name.strip().lower() for name in next(lines, (1, []))[1]]
             if not header:
@@ -125,16 +125,16 @@ def read_points(path: Path) -> dict[str, Array]:
             missing = [name for name in POINT_COLUMNS if name not in header]
             if missing:
                 raise UserError(f"points file {path} has no column {missing[0]}; found: {', '.join(header)}")
-            check_names(f"points file {path}", header, POINT_COLUMNS)
+            check_unique_columns(f"points file {path}", header, POINT_COLUMNS)
             rows = [_row(path, line, header, cells, separator) for line, cells in lines if any(map(str.strip, cells))]
     except FileNotFoundError:
         raise UserError(f"there is no points file at {path}") from None
     except UnicodeDecodeError:
-        raise not_utf8(f"points file {path}") from None
+        raise not_utf8_error(f"points file {path}") from None
     except CellError as error:
         raise UserError(f"points file {path}, {error}") from None
     except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"points file {path} cannot be read: {why_unread(error)}") from None
+        raise UserError(f"points file {path} cannot be read: {read_error_text(error)}") from None
     if not rows:
         raise UserError(f"points file {path} has a header and no data: write a row for each case below it")
     columns = np.array(rows).T
@@ -149,7 +149,7 @@ def _row(path: Path, line: int, header: list[str], cells: list[str], separator: 
             " numbers with a point"
         )
     told = dict(zip(header, cells, strict=False))
-    return [_cell(path, line, name, with_point(told.get(name, ""), separator)) for name in POINT_COLUMNS]
+    return [_cell(path, line, name, with_decimal_point(told.get(name, ""), separator)) for name in POINT_COLUMNS]
 
 
 def _cell(path: Path, line: int, name: str, text: str) -> float:

@@ -102,9 +102,9 @@ def file_sky_source(
     UserError
         The file cannot be used, does not say its longitude and none is given, or has no daylight on the `days`.
     """
-    from daemon.rigs.measured import measured_weather, weather_notes  # noqa: PLC0415 - brings in the whole rig
+    from daemon.rigs.measured import read_weather, weather_notes  # noqa: PLC0415 - brings in the whole rig
 
-    weather = measured_weather(path)
+    weather = read_weather(path)
     if longitude_deg is None and weather.site is None:
         raise UserError(f"weather file {path} does not say where it was measured; give its longitude with --lon")
     known = weather.site or Site(latitude_deg, 0.0, 0.0)

@@ -13,11 +13,11 @@ from pandas.api.types import is_bool_dtype, is_numeric_dtype
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Quality
 from daemon.store.export import KINDS, export
-from daemon.store.runs import StoredRun, ToldBefore, nothing_in, reach_of, runs_of, told_before
+from daemon.store.runs import PriorRecords, StoredRun, no_records_text, read_prior_records, record_time_range, runs_of
 from daemon.store.schema import FILE_NAME
 from daemon.store.tables import COLUMNS
-from daemon.studies.inputs import check_frame, check_table, not_utf8
-from daemon.studies.report.span import ReportSpan, Wanted, times
+from daemon.studies.inputs import check_frame, check_table, not_utf8_error
+from daemon.studies.report.span import ReportSpan, RequestedSpan, utc_and_local_time
 from solar.ephemeris import Site
 from solar.frames import Array, Limits
 from solar.tables import broken_line, unreadable, utc_times
@@ -26,7 +26,7 @@ from solar.tables import broken_line, unreadable, utc_times
 _UNUSED_COLUMNS = {"session", "source", "sequence", "calibration", "curve", "ghi", *(f"{face}_time" for face in FACES)}
 # The last record belongs to the span.
 _LAST_S = 1.0
-_NOTHING_TOLD = ToldBefore()
+_NOTHING_TOLD = PriorRecords()
 _DAMAGED = "it is damaged or cut off; export it anew"
 _NUMBERS = {kind: [column.name for column in columns if column.holds == "float"] for kind, columns in COLUMNS.values()}
 _BOOLEAN_COLUMNS = ("moving", "simulated")
@@ -79,14 +79,14 @@ class Material:
     source: str
     runs: tuple[StoredRun, ...]
     tables: dict[str, pd.DataFrame]
-    before: ToldBefore = _NOTHING_TOLD
+    before: PriorRecords = _NOTHING_TOLD
     budget_deg: float | None = None
     budget_moves: int | None = None
     stow_wind_m_s: float | None = None
 
     def times_of(self, kind: str) -> Array:
         """Return the UTC [s] of a kind's rows."""
-        return seconds(self.tables[kind])
+        return index_utc_s(self.tables[kind])
 
     def column(self, kind: str, name: str) -> Array:
         """Return a column of numbers, NaN throughout where the table does not have it."""
@@ -106,7 +106,7 @@ class Material:
         return np.stack(columns, axis=-1) if columns else np.empty((0, len(FACES)))
 
 
-def seconds(table: pd.DataFrame) -> Array:
+def index_utc_s(table: pd.DataFrame) -> Array:
     """Return the UTC [s] of a table's index."""
     if not len(table):
         return np.empty(0)
@@ -114,9 +114,9 @@ def seconds(table: pd.DataFrame) -> Array:
     return np.asarray(since / pd.Timedelta(seconds=1), dtype=np.float64)
 
 
-def from_store(
+def read_material(
     directory: Path,
-    wanted: Wanted,
+    wanted: RequestedSpan,
     tracker: str | None,
     now_utc_s: float,
     progress: Callable[[float], None],
@@ -152,14 +152,14 @@ def from_store(
     span = wanted.span(runs[-1].origin.longitude_deg, now_utc_s)
     tables = _read_days(directory, span, progress)
     if not any(len(table) for table in tables.values()):
-        raise UserError(nothing_in(span.start_utc_s, span.end_utc_s, str(path), reach_of(path)))
+        raise UserError(no_records_text(span.start_utc_s, span.end_utc_s, str(path), record_time_range(path)))
     with_records = {int(run) for table in tables.values() if "run" in table for run in table["run"].unique()}
     there = [run for run in runs if run.run in with_records]
     last = there[-1].origin
     site = Site(last.latitude_deg, last.longitude_deg, last.altitude_m)
     # One run is enough, as each run raises lasting alarms anew.
-    before = told_before(path, there[0].run, span.start_utc_s)
-    found = of_tables(tables, span, site, last.site, called, runs=tuple(there), before=before)
+    before = read_prior_records(path, there[0].run, span.start_utc_s)
+    found = split_by_tracker(tables, span, site, last.site, called, runs=tuple(there), before=before)
     chosen = [material for material in found if tracker in (None, material.tracker)]
     if not chosen:
         names = ", ".join(material.tracker for material in found)
@@ -167,7 +167,7 @@ def from_store(
     return chosen
 
 
-def of_tables(
+def split_by_tracker(
     tables: dict[str, pd.DataFrame],
     span: ReportSpan,
     site: Site,
@@ -175,12 +175,12 @@ def of_tables(
     source: str,
     *,
     runs: tuple[StoredRun, ...] = (),
-    before: ToldBefore = _NOTHING_TOLD,
+    before: PriorRecords = _NOTHING_TOLD,
 ) -> list[Material]:
     """Return the material of every tracker in tables; `UserError` for tables without a record in the span."""
-    inside = within(tables, span)
+    inside = rows_within(tables, span)
     if not any(len(table) for table in inside.values()):
-        raise UserError(nothing_in(span.start_utc_s, span.end_utc_s, source, None))
+        raise UserError(no_records_text(span.start_utc_s, span.end_utc_s, source, None))
     return [
         Material(
             span=span,
@@ -192,13 +192,13 @@ def of_tables(
             source=source,
             runs=runs,
             tables={kind: _of_tracker(table, name) for kind, table in inside.items()},
-            before=ToldBefore(*(tuple(said for said in kind if said[1] in ("", name)) for kind in before)),
+            before=PriorRecords(*(tuple(said for said in kind if said[1] in ("", name)) for kind in before)),
         )
         for name in _trackers(inside.values()) or ["tracker"]
     ]
 
 
-def reach_of_tables(tables: dict[str, pd.DataFrame], source: str) -> ReportSpan:
+def span_of_tables(tables: dict[str, pd.DataFrame], source: str) -> ReportSpan:
     """Return the span from the first record of tables to the last; raises `UserError` without one."""
     filled = [table.index for table in tables.values() if len(table)]
     if not filled:
@@ -208,7 +208,7 @@ def reach_of_tables(tables: dict[str, pd.DataFrame], source: str) -> ReportSpan:
     return ReportSpan(first.timestamp(), last.timestamp() + _LAST_S, name)
 
 
-def from_tables(
+def read_tables(
     directory: Path, table_format: str, warn: Callable[[str], None] = lambda _: None
 ) -> dict[str, pd.DataFrame]:
     """Return the tables of a folder that ``heliocube simulate`` or ``export`` wrote; raises `UserError`.
@@ -224,7 +224,7 @@ def from_tables(
         try:
             table = pd.read_parquet(path) if path.suffix == ".parquet" else _csv(path, warn)
         except UnicodeDecodeError:
-            raise not_utf8(path) from None
+            raise not_utf8_error(path) from None
         except OSError as error:
             raise UserError(f"{path} cannot be read: {error.strerror or _DAMAGED}") from None
         except ValueError:
@@ -284,7 +284,7 @@ def _refuse(path: Path, column: "pd.Series[Any]", wrong: "pd.Series[bool]", why:
         raise UserError(f"{path}, row {row + 1}: {column.name} is '{column.iloc[row]}'{why}")
 
 
-def within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.DataFrame]:
+def rows_within(tables: dict[str, pd.DataFrame], span: ReportSpan) -> dict[str, pd.DataFrame]:
     """Return the rows of a span."""
     ends = (pd.Timestamp(at, unit="s", tz="UTC") for at in (span.start_utc_s, span.end_utc_s))
     first, last = ends
@@ -297,9 +297,9 @@ def _read_days(directory: Path, span: ReportSpan, progress: Callable[[float], No
     days = span.days()
     for number, day in enumerate(days):
         with TemporaryDirectory(prefix="heliocube-") as folder:
-            first, last = (times(at, None)[0] for at in (day.start_utc_s, day.end_utc_s))
+            first, last = (utc_and_local_time(at, None)[0] for at in (day.start_utc_s, day.end_utc_s))
             export(directory, Path(folder), "parquet", first, last, ())
-            for kind, table in from_tables(Path(folder), "parquet").items():
+            for kind, table in read_tables(Path(folder), "parquet").items():
                 parts[kind].append(table)
         progress((number + 1) / len(days))
     return {kind: _join_days(tables) for kind, tables in parts.items()}

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from daemon.base.records import Mode
 from daemon.studies.report.material import Material
-from daemon.studies.report.yields import DAYLIGHT_EVERY_S, days_of, held, newest, sun_up
+from daemon.studies.report.yields import DAYLIGHT_EVERY_S, days_of, latest_column_values, latest_values, sun_up
 from solar.ephemeris import DAY_S
 from solar.frames import Array
 
@@ -24,7 +24,7 @@ _EXCUSED_MODES = (Mode.STOW, Mode.SNOW, Mode.MAINTENANCE, Mode.HOLD)
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class ModePeriod:
     """A mode from one instant to another [s UTC], and why it was entered."""
 
     mode: str
@@ -44,7 +44,7 @@ class RecordedMotion:
 
     Attributes
     ----------
-    stretches
+    mode_periods
         The modes one after the other; ``not recorded`` where there are no records.
     outcomes
         How many moves had each outcome.
@@ -58,7 +58,7 @@ class RecordedMotion:
         Share of daylight with both angles within 5 deg of the set point; stow and what persons ordered left out.
     """
 
-    stretches: tuple[Stretch, ...]
+    mode_periods: tuple[ModePeriod, ...]
     outcomes: dict[str, int]
     travel_a_deg: float
     travel_b_deg: float
@@ -75,21 +75,21 @@ class RecordedMotion:
     def hours(self) -> dict[str, float]:
         """Return the hours of each mode, the longest first."""
         found: dict[str, float] = {}
-        for stretch in self.stretches:
+        for stretch in self.mode_periods:
             found[stretch.mode] = found.get(stretch.mode, 0.0) + stretch.duration_s / 3600.0
         return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def motion_of(material: Material) -> RecordedMotion:
     """Return what the tracker did in a span."""
-    stretches = _stretches(material)
+    mode_periods = _stretches(material)
     moves = material.tables["moves"]
     travel_a, travel_b = (_travel(material, angle) for angle in ("a_deg", "b_deg"))
     begun = material.times_of("moves")
     days = [(begun >= day.start_utc_s) & (begun < day.end_utc_s) for day in days_of(material)]
-    mean, p95, available = _deviation_and_availability(material, stretches)
+    mean, p95, available = _deviation_and_availability(material, mode_periods)
     return RecordedMotion(
-        stretches=stretches,
+        mode_periods=mode_periods,
         outcomes={str(name): int(count) for name, count in moves["outcome"].value_counts().items()}
         if len(moves)
         else {},
@@ -120,20 +120,20 @@ def _travel(material: Material, angle: str) -> Array:
     return np.nan_to_num(way)
 
 
-def _stretches(material: Material) -> tuple[Stretch, ...]:
+def _stretches(material: Material) -> tuple[ModePeriod, ...]:
     """Return the modes, with ``not recorded`` where there are no records for long."""
-    found: list[Stretch] = []
+    found: list[ModePeriod] = []
     for start, end in _recorded_spans(material):
         found += _modes_between(material, start, end)
-    filled: list[Stretch] = []
+    filled: list[ModePeriod] = []
     at = material.span.start_utc_s
     for stretch in found:
         if stretch.start_utc_s > at + 1.0:
-            filled.append(Stretch(NOT_RECORDED, at, stretch.start_utc_s, ""))
+            filled.append(ModePeriod(NOT_RECORDED, at, stretch.start_utc_s, ""))
         filled.append(stretch)
         at = stretch.end_utc_s
     if material.span.end_utc_s > at + 1.0:
-        filled.append(Stretch(NOT_RECORDED, at, material.span.end_utc_s, ""))
+        filled.append(ModePeriod(NOT_RECORDED, at, material.span.end_utc_s, ""))
     return tuple(filled)
 
 
@@ -150,18 +150,18 @@ def _recorded_spans(material: Material) -> list[tuple[float, float]]:
     ]
 
 
-def _modes_between(material: Material, start: float, end: float) -> list[Stretch]:
+def _modes_between(material: Material, start: float, end: float) -> list[ModePeriod]:
     utc_s = material.times_of("modes")
     inside = np.flatnonzero((utc_s >= start) & (utc_s < end))
     modes = material.tables["modes"]
     if not inside.size:
-        return [Stretch(_mode_before(material, start), start, end, "")]
+        return [ModePeriod(_mode_before(material, start), start, end, "")]
     rows = modes.iloc[inside]
     at = [start, *utc_s[inside].tolist(), end]
     names = [str(rows["before"].iloc[0]), *(str(name) for name in rows["after"])]
     whys = ["", *(str(why) for why in rows["why"])]
     return [
-        Stretch(name, first, last, why)
+        ModePeriod(name, first, last, why)
         for name, why, first, last in zip(names, whys, at[:-1], at[1:], strict=True)
         if last > first
     ]
@@ -176,28 +176,28 @@ def _mode_before(material: Material, start: float) -> str:
     return str(decisions["mode"].iloc[int(later[0])]) if later.size else "no change of mode recorded"
 
 
-def _deviation_and_availability(material: Material, stretches: tuple[Stretch, ...]) -> tuple[float, float, float]:
+def _deviation_and_availability(material: Material, mode_periods: tuple[ModePeriod, ...]) -> tuple[float, float, float]:
     """Return mean and 95th percentile of the deviation at rest in daylight [deg], and the availability [%]."""
     span = material.span
     utc_s = np.arange(span.start_utc_s + DAYLIGHT_EVERY_S / 2.0, span.end_utc_s, DAYLIGHT_EVERY_S)
-    counts = (sun_up(material, utc_s) > 0.0) & ~_mask_of_modes(stretches, utc_s, _EXCUSED_MODES)
-    set_points = [newest(*set_points_of(material, angle), utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
-    stands = [held(material, "poses", angle, utc_s, SILENT_S) for angle in ("a_deg", "b_deg")]
+    counts = (sun_up(material, utc_s) > 0.0) & ~_mask_of_modes(mode_periods, utc_s, _EXCUSED_MODES)
+    set_points = [latest_values(*set_points_of(material, angle), utc_s, DAY_S) for angle in ("a_deg", "b_deg")]
+    stands = [latest_column_values(material, "poses", angle, utc_s, SILENT_S) for angle in ("a_deg", "b_deg")]
     apart = np.maximum(*(np.abs(wanted - is_at) for wanted, is_at in zip(set_points, stands, strict=True)))
     # Before the first decision or move of a span its set point is not known.
     counts &= np.isfinite(set_points[0])
     if not counts.any():
         return np.nan, np.nan, np.nan
     within = apart[counts] <= TOLERANCE_DEG
-    still = counts & (held(material, "poses", "moving", utc_s, SILENT_S) == 0.0) & np.isfinite(apart)
+    still = counts & (latest_column_values(material, "poses", "moving", utc_s, SILENT_S) == 0.0) & np.isfinite(apart)
     if not still.any():
         return np.nan, np.nan, 100.0 * float(within.mean())
     return float(apart[still].mean()), float(np.percentile(apart[still], 95.0)), 100.0 * float(within.mean())
 
 
-def _mask_of_modes(stretches: tuple[Stretch, ...], utc_s: Array, modes: tuple[Mode, ...]) -> NDArray[np.bool_]:
+def _mask_of_modes(mode_periods: tuple[ModePeriod, ...], utc_s: Array, modes: tuple[Mode, ...]) -> NDArray[np.bool_]:
     inside = np.zeros(utc_s.shape, dtype=np.bool_)
-    for stretch in stretches:
+    for stretch in mode_periods:
         if stretch.mode in modes:
             inside |= (utc_s >= stretch.start_utc_s) & (utc_s < stretch.end_utc_s)
     return inside

@@ -16,17 +16,17 @@ from daemon.studies.report.availability import Availability, availability_of
 from daemon.studies.report.html import Node, Part, element, page, picture, table
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import TOLERANCE_DEG, RecordedMotion, motion_of
-from daemon.studies.report.pictures import Drawing
+from daemon.studies.report.pictures import PictureData
 from daemon.studies.report.told import AlarmSpan, Note, alarms_of, notes_of
-from daemon.studies.report.words import NO_FIGURE, clock, length, number, summary
+from daemon.studies.report.words import NO_VALUE, format_duration, format_number, format_times, summary
 from daemon.studies.report.yields import RecordedLight, Yield, days_of, light_of, module_kwh, yield_of
-from daemon.studies.stamp import MARK
+from daemon.studies.stamp import STAMP_COLOUR
 from solar.ephemeris import DAY_S
 
 _COLOURS = {
     pictures.INK: "var(--ink)",
     pictures.FAINT: "var(--grid)",
-    MARK: "var(--mark)",
+    STAMP_COLOUR: "var(--mark)",
     pictures.NIGHT: "var(--night)",
 }
 _MOST_LINES = 300
@@ -50,7 +50,7 @@ class Findings:
     zone: tzinfo | None
 
     @property
-    def long(self) -> bool:
+    def has_several_days(self) -> bool:
         """Whether the span is more than one day."""
         return len(self.by_day) > 1
 
@@ -92,17 +92,17 @@ def _head(found: Findings, title: str) -> Iterator[Part]:
         yield element("p", "SIMULATED: no hardware is behind these figures.", class_="simulated", role="note")
     yield element("h1", title)
     ends = (material.span.start_utc_s, material.span.end_utc_s)
-    (first, first_local), (last, last_local) = (clock(at, found.zone, day=True) for at in ends)
+    (first, first_local), (last, last_local) = (format_times(at, found.zone, day=True) for at in ends)
     yield element("p", f"{first} to {last} UTC; {first_local} to {last_local} local time.", class_="soft")
     yield element(
         "p", " ".join(summary(material, found.light, gained, motion, quality, found.alarms)), class_="summary"
     )
     shown = (
-        ("In the tracker's plane", f"{number(gained.actual_kwh_m2, 2)} kWh/m²"),
-        ("Over chronometric", f"{number(gained.gain_pct, 1, sign=True)} %"),
-        ("Of the best possible", f"{number(gained.of_bound_pct)} %"),
-        ("Valid scans, daylight", f"{number(quality.daylight.valid_pct)} %"),
-        ("Tracker availability", f"{number(motion.available_pct)} %"),
+        ("In the tracker's plane", f"{format_number(gained.actual_kwh_m2, 2)} kWh/m²"),
+        ("Over chronometric", f"{format_number(gained.gain_pct, 1, sign=True)} %"),
+        ("Of the best possible", f"{format_number(gained.of_bound_pct)} %"),
+        ("Valid scans, daylight", f"{format_number(quality.daylight.valid_pct)} %"),
+        ("Tracker availability", f"{format_number(motion.available_pct)} %"),
         ("Moves", f"{motion.moves}"),
     )
     yield element("dl", *(element("div", element("dt", n), element("dd", v)) for n, v in shown), class_="figures")
@@ -111,10 +111,10 @@ def _head(found: Findings, title: str) -> Iterator[Part]:
 def _pictures(found: Findings) -> Iterator[Part]:
     material = found.material
     yield element("h2", "Pictures")
-    if found.long:
+    if found.has_several_days:
         drawn = pictures.days_picture(found.days, found.by_day, material.simulated)
         yield _captioned(drawn, "days", "Day by day: what the planes received, and the gain over chronometric tracking")
-    drawing = Drawing(material, found.light, found.motion, found.zone)
+    drawing = PictureData(material, found.light, found.motion, found.zone)
     if material.span.duration_s > _MOST_DAYS_IN_LINES * DAY_S:
         names_shown = ["motion"]
     else:
@@ -136,12 +136,12 @@ def _energy(found: Findings) -> Iterator[Part]:
     gained, light = found.gained, found.light
     yield element("h2", "Energy")
     rows = [
-        ("Tracker, as it stood", number(gained.actual_kwh_m2, 3), number(gained.gain_pct, 2, sign=True)),
-        ("Chronometric, within the limits", number(gained.chronometric_kwh_m2, 3), number(0.0, 2)),
+        ("Tracker, as it stood", format_number(gained.actual_kwh_m2, 3), format_number(gained.gain_pct, 2, sign=True)),
+        ("Chronometric, within the limits", format_number(gained.chronometric_kwh_m2, 3), format_number(0.0, 2)),
         (
             "Best pose at every instant: the bound",
-            number(gained.best_kwh_m2, 3),
-            number(gained.bound_pct, 2, sign=True),
+            format_number(gained.best_kwh_m2, 3),
+            format_number(gained.bound_pct, 2, sign=True),
         ),
     ]
     yield table(("Plane", "kWh/m²", "over chronometric %"), rows, "Estimated insolation of three planes")
@@ -154,35 +154,35 @@ def _energy(found: Findings) -> Iterator[Part]:
         "p",
         "These are results of a model: at each scan the beam, the diffuse light and the brightness of the horizon that"
         f" explain the four faces best are put on three planes (docs/report.md); {albedo}. They stand for"
-        f" {length(gained.known_s)} of {length(gained.daylight_s)} of daylight"
-        f" ({number(gained.known_pct)} %); nothing is added for the rest. Chronometric and best poses move at once and"
-        " always, which no tracker can. The dashboard counts the same from means of a minute while it happens, with"
-        " what was known of the albedo then: the last digit may differ.",
+        f" {format_duration(gained.known_s)} of {format_duration(gained.daylight_s)} of daylight"
+        f" ({format_number(gained.known_pct)} %); nothing is added for the rest. Chronometric and best poses move"
+        " at once and always, which no tracker can. The dashboard counts the same from means of a minute while it"
+        " happens, with what was known of the albedo then: the last digit may differ.",
         class_="soft",
     )
-    faces = [(name, number(value, 3)) for name, value in zip(FACES, gained.faces_kwh_m2, strict=False)]
+    faces = [(name, format_number(value, 3)) for name, value in zip(FACES, gained.faces_kwh_m2, strict=False)]
     yield table(("Face", "kWh/m²"), faces, "Measured on the faces of the cube, good readings in daylight")
     energy, known_s = module_kwh(found.material, found.material.span.start_utc_s, found.material.span.end_utc_s)
     if known_s:
         yield element(
             "p",
-            f"Module: {number(1000.0 * energy, 0)} Wh at its maximum power point, by I-V curves that stand for"
-            f" {length(known_s)}.",
+            f"Module: {format_number(1000.0 * energy, 0)} Wh at its maximum power point, by I-V curves that stand for"
+            f" {format_duration(known_s)}.",
         )
 
 
 def _days(found: Findings) -> Iterator[Part]:
-    if not found.long:
+    if not found.has_several_days:
         return
     rows = [
         (
             day,
-            number(each.actual_kwh_m2, 2),
-            number(each.gain_pct, 2, sign=True),
-            number(each.bound_pct, 2, sign=True),
-            number(each.known_pct),
+            format_number(each.actual_kwh_m2, 2),
+            format_number(each.gain_pct, 2, sign=True),
+            format_number(each.bound_pct, 2, sign=True),
+            format_number(each.known_pct),
             f"{moves}",
-            number(travel, 0),
+            format_number(travel, 0),
         )
         for day, each, (moves, travel) in zip(found.days, found.by_day, found.motion.by_day, strict=True)
     ]
@@ -194,12 +194,14 @@ def _days(found: Findings) -> Iterator[Part]:
 def _modes(found: Findings) -> Iterator[Part]:
     motion, total = found.motion, found.material.span.duration_s / 3600.0
     yield element("h2", "Modes")
-    rows = [(mode, number(hours), number(100.0 * hours / total)) for mode, hours in motion.hours().items()]
+    rows = [
+        (mode, format_number(hours), format_number(100.0 * hours / total)) for mode, hours in motion.hours().items()
+    ]
     yield table(("Mode", "hours", "share %"), rows, "Time in each mode")
-    special = [one for one in motion.stretches if one.mode not in ("night", "tracking", "starting")]
+    special = [one for one in motion.mode_periods if one.mode not in ("night", "tracking", "starting")]
     if special:
         listed = [
-            (one.mode, *_time_cells(one.start_utc_s, found), length(one.duration_s), one.why or NO_FIGURE)
+            (one.mode, *_time_cells(one.start_utc_s, found), format_duration(one.duration_s), one.why or NO_VALUE)
             for one in special[:_MOST_LINES]
         ]
         name = _caption_of_many("When it neither tracked nor slept", len(special))
@@ -212,22 +214,24 @@ def _moves(found: Findings) -> Iterator[Part]:
     outcomes = ", ".join(f"{count} {name}" for name, count in motion.outcomes.items()) or "none"
     rows = [
         ("Moves", f"{motion.moves}", outcomes),
-        ("Travel of A", f"{number(motion.travel_a_deg)} deg", ""),
-        ("Travel of B", f"{number(motion.travel_b_deg)} deg", ""),
+        ("Travel of A", f"{format_number(motion.travel_a_deg)} deg", ""),
+        ("Travel of B", f"{format_number(motion.travel_b_deg)} deg", ""),
     ]
     if material.budget_deg is not None:
         worst = max((travel for _, travel in motion.by_day), default=0.0)
-        share = number(100.0 * worst / material.budget_deg)
-        rows.append(("Most in a day", f"{number(worst)} deg", f"{share} % of the {material.budget_deg:g} deg of a day"))
+        share = format_number(100.0 * worst / material.budget_deg)
+        rows.append(
+            ("Most in a day", f"{format_number(worst)} deg", f"{share} % of the {material.budget_deg:g} deg of a day")
+        )
     if material.budget_moves is not None:
         most = max((moves for moves, _ in motion.by_day), default=0)
         rows.append(("Most moves in a day", f"{most}", f"of {material.budget_moves} that a law may order"))
     rows += [
-        ("Deviation at rest, mean", f"{number(motion.deviation_deg, 2)} deg", "greater of A and B, in daylight"),
-        ("Deviation at rest, 95 %", f"{number(motion.deviation_p95_deg, 2)} deg", "are nearer to the set point"),
+        ("Deviation at rest, mean", f"{format_number(motion.deviation_deg, 2)} deg", "greater of A and B, in daylight"),
+        ("Deviation at rest, 95 %", f"{format_number(motion.deviation_p95_deg, 2)} deg", "are nearer to the set point"),
         (
             "Tracker availability",
-            f"{number(motion.available_pct)} %",
+            f"{format_number(motion.available_pct)} %",
             f"of daylight within {TOLERANCE_DEG:g} deg of the set point; stow and what persons ordered left out",
         ),
     ]
@@ -240,9 +244,9 @@ def _wind(material: Material) -> list[tuple[str, str, str]]:
     if not np.isfinite(wind).any():
         return []
     place = int(np.nanargmax(wind))
-    at = clock(float(material.times_of("poses")[place]), None, day=True)[0]
+    at = format_times(float(material.times_of("poses")[place]), None, day=True)[0]
     stows = "" if material.stow_wind_m_s is None else f"; from {material.stow_wind_m_s:g} m/s on it stows"
-    return [("Strongest wind", f"{number(float(wind[place]), 1)} m/s", f"{at} UTC{stows}")]
+    return [("Strongest wind", f"{format_number(float(wind[place]), 1)} m/s", f"{at} UTC{stows}")]
 
 
 def _quality(found: Findings) -> Iterator[Part]:
@@ -252,8 +256,8 @@ def _quality(found: Findings) -> Iterator[Part]:
         (
             name,
             f"{count.expected}",
-            f"{number(count.available_pct, 2)} %",
-            f"{number(count.valid_pct, 2)} %",
+            f"{format_number(count.available_pct, 2)} %",
+            f"{format_number(count.valid_pct, 2)} %",
             f"{count.flagged}",
             f"{count.missing}",
         )
@@ -270,7 +274,7 @@ def _quality(found: Findings) -> Iterator[Part]:
         yield table(("Face", *reasons), by_face, "Readings in daylight by quality; all but ok are flagged and not used")
     if quality.gaps:
         gaps = [
-            (*_time_cells(gap.start_utc_s, found), length(gap.end_utc_s - gap.start_utc_s))
+            (*_time_cells(gap.start_utc_s, found), format_duration(gap.end_utc_s - gap.start_utc_s))
             for gap in quality.gaps[:_MOST_LINES]
         ]
         yield table(("UTC", "local", "for"), gaps, _caption_of_many("Gaps without scans", len(quality.gaps)))
@@ -287,7 +291,7 @@ def _outages(found: Findings) -> Iterator[Part]:
             *_time_cells(alarm.start_utc_s, found, day=(alarm.start_utc_s or begins_s) < begins_s),
             _alarm_length(alarm, found),
             alarm.text,
-            alarm.acknowledged or NO_FIGURE,
+            alarm.acknowledged or NO_VALUE,
         )
         for alarm in found.alarms[:_MOST_LINES]
     ]
@@ -302,8 +306,8 @@ def _alarm_length(alarm: AlarmSpan, found: Findings) -> str:
     if alarm.start_utc_s is None:
         return "on since before"
     if alarm.end_utc_s is None:
-        return f"{length(found.material.span.end_utc_s - alarm.start_utc_s)}, still on"
-    return length(alarm.end_utc_s - alarm.start_utc_s)
+        return f"{format_duration(found.material.span.end_utc_s - alarm.start_utc_s)}, still on"
+    return format_duration(alarm.end_utc_s - alarm.start_utc_s)
 
 
 def _runs(found: Findings) -> Iterator[Part]:
@@ -350,7 +354,7 @@ def _foot(found: Findings) -> Node:
 
 
 def _time_cells(utc_s: float | None, found: Findings, day: bool = False) -> tuple[str, str]:
-    return clock(utc_s, found.zone, day=day or found.long)
+    return format_times(utc_s, found.zone, day=day or found.has_several_days)
 
 
 def _caption_of_many(what: str, count: int) -> str:

@@ -18,8 +18,8 @@ from daemon.studies.report.asked import NAMES
 from daemon.studies.report.availability import longest_interval_s
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import NOT_RECORDED, SILENT_S, RecordedMotion, set_points_of
-from daemon.studies.report.yields import RecordedLight, Yield, newest
-from daemon.studies.stamp import stamped
+from daemon.studies.report.yields import RecordedLight, Yield, latest_values
+from daemon.studies.stamp import stamp_simulated
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Array, angles_within
 
@@ -72,14 +72,14 @@ _RC: Any = {
 }
 
 
-class Series(NamedTuple):
+class PictureKind(NamedTuple):
     """A picture by the name that the command line gives it: what it shows, and how it is drawn."""
 
     about: str
-    draw: Callable[["Drawing"], Figure]
+    draw: Callable[["PictureData"], Figure]
 
 
-class Drawing(NamedTuple):
+class PictureData(NamedTuple):
     """The data that pictures show."""
 
     material: Material
@@ -88,7 +88,7 @@ class Drawing(NamedTuple):
     zone: tzinfo | None
 
 
-def light_picture(drawing: Drawing) -> Figure:
+def light_picture(drawing: PictureData) -> Figure:
     """Draw the irradiance on the four faces and the diffuse fraction."""
     with rc_context(_RC):
         figure, (upper, lower) = _panels(2, 4.2, (2.4, 1.0))
@@ -105,7 +105,7 @@ def light_picture(drawing: Drawing) -> Figure:
         return _finish_time_axis(figure, lower, drawing)
 
 
-def angles_picture(drawing: Drawing) -> Figure:
+def angles_picture(drawing: PictureData) -> Figure:
     """Draw A and B, where they were sent and where they stood, against the sun's own angles."""
     with rc_context(_RC):
         figure, panels = _panels(2, 4.6, (1.0, 1.0))
@@ -124,7 +124,7 @@ def angles_picture(drawing: Drawing) -> Figure:
         return _finish_time_axis(figure, panels[-1], drawing)
 
 
-def received_picture(drawing: Drawing) -> Figure:
+def received_picture(drawing: PictureData) -> Figure:
     """Draw what the three planes received, and what the tracker had gained over chronometric tracking by each time."""
     with rc_context(_RC):
         figure, (upper, lower) = _panels(2, 4.2, (2.0, 1.0))
@@ -145,13 +145,13 @@ def received_picture(drawing: Drawing) -> Figure:
         return _finish_time_axis(figure, lower, drawing)
 
 
-def motion_picture(drawing: Drawing) -> Figure:
+def motion_picture(drawing: PictureData) -> Figure:
     """Draw the strip of modes with a tick for each move, and the accumulated travel."""
     with rc_context(_RC):
         figure, (strip, travel) = _panels(2, 3.0, (1.0, 1.8))
         material, motion = drawing.material, drawing.motion
         shown: list[str] = []
-        for stretch in motion.stretches:
+        for stretch in motion.mode_periods:
             if stretch.mode == NOT_RECORDED or stretch.duration_s < material.span.duration_s / 2000.0:
                 continue
             colour, hatch = _MODE_STYLES.get(stretch.mode, (FAINT, "oo"))
@@ -180,7 +180,7 @@ def motion_picture(drawing: Drawing) -> Figure:
         return _finish_time_axis(figure, travel, drawing)
 
 
-def power_picture(drawing: Drawing) -> Figure:
+def power_picture(drawing: PictureData) -> Figure:
     """Draw the maximum power of the module by its I-V curves."""
     with rc_context(_RC):
         figure, (axes,) = _panels(1, 2.4, (1.0,))
@@ -194,7 +194,7 @@ def power_picture(drawing: Drawing) -> Figure:
         return _finish_time_axis(figure, axes, drawing)
 
 
-def wind_picture(drawing: Drawing) -> Figure:
+def wind_picture(drawing: PictureData) -> Figure:
     """Draw the wind, and the wind from which the tracker stows, where that is known."""
     with rc_context(_RC):
         figure, (axes,) = _panels(1, 2.2, (1.0,))
@@ -238,16 +238,16 @@ def days_picture(names: Sequence[str], yields: Sequence[Yield], simulated: bool)
         years = _years(names[0][:4], names[-1][:4])
         lower.set_xlabel(f"day of the site in {years}, from solar midnight (month-day)")
         _legend(upper, 3)
-        return stamped(figure, simulated)
+        return stamp_simulated(figure, simulated)
 
 
 _ALL_SERIES = (
-    Series("irradiance of the faces and diffuse fraction", light_picture),
-    Series("A and B, set and actual, and the sun's path", angles_picture),
-    Series("estimated irradiance in the plane: actual, chronometric, best", received_picture),
-    Series("modes, moves and travel", motion_picture),
-    Series("wind and what it stows from", wind_picture),
-    Series("maximum power of the module by its I-V curves", power_picture),
+    PictureKind("irradiance of the faces and diffuse fraction", light_picture),
+    PictureKind("A and B, set and actual, and the sun's path", angles_picture),
+    PictureKind("estimated irradiance in the plane: actual, chronometric, best", received_picture),
+    PictureKind("modes, moves and travel", motion_picture),
+    PictureKind("wind and what it stows from", wind_picture),
+    PictureKind("maximum power of the module by its I-V curves", power_picture),
 )
 PICTURES = dict(zip(NAMES, _ALL_SERIES, strict=True))
 """Each picture by the name that the command line gives it."""
@@ -270,7 +270,7 @@ def _legend(axes: Axes, columns: int) -> None:
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, handlelength=2.6)
 
 
-def _finish_time_axis(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
+def _finish_time_axis(figure: Figure, lowest: Axes, drawing: PictureData) -> Figure:
     """Give the axis of time its ticks, in UTC and by the local clock."""
     span = drawing.material.span
     first, last = _dates(np.array([span.start_utc_s, span.end_utc_s]))
@@ -299,14 +299,14 @@ def _finish_time_axis(figure: Figure, lowest: Axes, drawing: Drawing) -> Figure:
         local = f"; below it local time, {names}" if any(at.utcoffset() for at in edges) else ""
         lowest.set_xlabel(f"{here:%d %B %Y}, UTC{local}".lstrip("0"))
     figure.align_ylabels()
-    return stamped(figure, drawing.material.simulated)
+    return stamp_simulated(figure, drawing.material.simulated)
 
 
 def _years(first: str, last: str) -> str:
     return first if first == last else f"{first} to {last}"
 
 
-def _tick_formatter(drawing: Drawing) -> Callable[[float, int], str]:
+def _tick_formatter(drawing: PictureData) -> Callable[[float, int], str]:
     """Return the function that writes the text of a tick."""
     long = drawing.material.span.duration_s > 1.5 * DAY_S
 
@@ -343,21 +343,21 @@ def _thinned(utc_s: Array, values: Array, pause_s: float) -> tuple[NDArray[np.da
     return _dates(np.insert(utc_s[chosen], behind, middles)), np.insert(values[chosen], behind, np.nan)
 
 
-def _set_points(drawing: Drawing, angle: str) -> tuple[NDArray[np.datetime64], Array]:
+def _set_points(drawing: PictureData, angle: str) -> tuple[NDArray[np.datetime64], Array]:
     """Return the set points of an angle; each holds until the next one, and is NaN while nothing was recorded."""
     material = drawing.material
     given_utc_s, set_points = set_points_of(material, angle)
-    silent = [stretch for stretch in drawing.motion.stretches if stretch.mode == NOT_RECORDED]
+    silent = [stretch for stretch in drawing.motion.mode_periods if stretch.mode == NOT_RECORDED]
     begins = np.array([stretch.start_utc_s for stretch in silent])
     ends = np.array([*(stretch.end_utc_s for stretch in silent), material.span.end_utc_s])
     utc_s = np.concatenate([given_utc_s, begins, ends])
-    again = newest(given_utc_s, set_points, ends, np.inf)
+    again = latest_values(given_utc_s, set_points, ends, np.inf)
     values = np.concatenate([set_points, np.full(begins.shape, np.nan), again])
     order = np.argsort(utc_s, kind="stable")
     return _dates(utc_s[order]), values[order]
 
 
-def _sun_angles(drawing: Drawing) -> tuple[Array, Array, Array]:
+def _sun_angles(drawing: PictureData) -> tuple[Array, Array, Array]:
     """Return instants, and A and B of a tracker that points at the sun within its limits; NaN while it is down."""
     span = drawing.material.span
     utc_s = np.arange(span.start_utc_s, span.end_utc_s, max(300.0, span.duration_s / 2000.0))

@@ -11,14 +11,14 @@ from matplotlib import rc_context
 
 from daemon.base.errors import UserError
 from daemon.config.settings import Settings
-from daemon.store.runs import nothing_in
+from daemon.store.runs import no_records_text
 from daemon.studies.inputs import parse_site
 from daemon.studies.picture_file import save_picture
 from daemon.studies.report.asked import format_of_tables
-from daemon.studies.report.material import Material, from_tables, of_tables, reach_of_tables
+from daemon.studies.report.material import Material, read_tables, span_of_tables, split_by_tracker
 from daemon.studies.report.motion import motion_of
-from daemon.studies.report.pictures import PICTURES, Drawing
-from daemon.studies.report.span import Wanted
+from daemon.studies.report.pictures import PICTURES, PictureData
+from daemon.studies.report.span import RequestedSpan
 from daemon.studies.report.yields import light_of
 from solar.ephemeris import Site
 
@@ -29,11 +29,11 @@ def material_of_tables(
     directory: Path,
     site: str | None,
     settings: Settings | None,
-    wanted: Wanted | None,
+    wanted: RequestedSpan | None,
     tracker: str | None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> Material:
-    """Return the material of a folder of tables, all of it or a span; `warn` as for `from_tables`.
+    """Return the material of a folder of tables, all of it or a span; `warn` as for `read_tables`.
 
     Raises
     ------
@@ -47,13 +47,13 @@ def material_of_tables(
         name, place = str(site), Site(*parse_site(str(site)))
     else:
         name, place = settings.site.name, settings.site.place()
-    tables, source = from_tables(directory, table_format, warn), f"the tables in {directory}"
+    tables, source = read_tables(directory, table_format, warn), f"the tables in {directory}"
     if wanted is None:
-        span = reach_of_tables(tables, source)
+        span = span_of_tables(tables, source)
     else:
         # Simulated tables may hold days of the future.
-        span = wanted.span(place.longitude_deg, time.time() if wanted.by_the_clock else math.inf)
-    found = of_tables(tables, span, place, name, source)
+        span = wanted.span(place.longitude_deg, time.time() if wanted.is_relative_to_today else math.inf)
+    found = split_by_tracker(tables, span, place, name, source)
     if tracker is None and len(found) == 1:
         return found[0]
     names = [material.tracker for material in found]
@@ -62,7 +62,7 @@ def material_of_tables(
     return found[names.index(tracker)]
 
 
-def nothing_to_show(material: Material, names: Sequence[str]) -> dict[str, str]:
+def missing_picture_notes(material: Material, names: Sequence[str]) -> dict[str, str]:
     """Return for each of the pictures without data a sentence that says so."""
     recorded = {
         "power": ("I-V curve", len(material.tables["curves"]) > 0),
@@ -72,14 +72,14 @@ def nothing_to_show(material: Material, names: Sequence[str]) -> dict[str, str]:
     for name in names:
         record, there = recorded.get(name, ("", True))
         if not there:
-            nothing = nothing_in(span.start_utc_s, span.end_utc_s, material.source, None, record)
+            nothing = no_records_text(span.start_utc_s, span.end_utc_s, material.source, None, record)
             found[name] = f"{name}: {nothing}"
     return found
 
 
 def draw(material: Material, names: Sequence[str], paths: Sequence[Path], zone: tzinfo | None) -> None:
     """Draw pictures to files, their folders too; raises `UserError` for a file that cannot be written."""
-    drawing = Drawing(material, light_of(material), motion_of(material), zone)
+    drawing = PictureData(material, light_of(material), motion_of(material), zone)
     for name, path in zip(names, paths, strict=True):
         figure = PICTURES[name].draw(drawing)
         # On a page a picture shows the page's colour behind it; a file needs a background of its own.

@@ -30,7 +30,7 @@ class ReportSpan:
             day, _, behind = self.name.partition("_")
             last = (date.fromisoformat(behind) - timedelta(days=1)).isoformat() if behind else day
             return day if last == day else f"{day} to {last}"
-        first, last = (f"{times(at, None)[0]:%Y-%m-%d %H:%M}" for at in (self.start_utc_s, self.end_utc_s))
+        first, last = (f"{utc_and_local_time(at, None)[0]:%Y-%m-%d %H:%M}" for at in (self.start_utc_s, self.end_utc_s))
         return f"{first} to {last} UTC"
 
     @property
@@ -47,7 +47,7 @@ class ReportSpan:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class RequestedSpan:
     """The span as the command line gives it, a day or two ends, before it is known where the site is."""
 
     day: str | None = None
@@ -67,7 +67,7 @@ class Wanted:
                 instant(text, option)
 
     @property
-    def by_the_clock(self) -> bool:
+    def is_relative_to_today(self) -> bool:
         """Whether the day is given relative to today."""
         return self.day in _DAYS_AGO
 
@@ -93,7 +93,7 @@ def solar_midnight_s(day: date, longitude_deg: float) -> float:
     return datetime(day.year, day.month, day.day, tzinfo=UTC).timestamp() - longitude_deg * DAY_S / 360.0
 
 
-def times(utc_s: float, zone: tzinfo | None) -> tuple[datetime, datetime]:
+def utc_and_local_time(utc_s: float, zone: tzinfo | None) -> tuple[datetime, datetime]:
     """Return the instant in UTC and in the time of a zone, None for this machine's."""
     return datetime.fromtimestamp(utc_s, UTC), local_time(utc_s, zone)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from daemon.base.records import FACES, Event, Quality
 from daemon.config.settings import Settings
 from daemon.studies.recorded import RecordedScans
-from daemon.studies.replay import Replayed
-from daemon.studies.report.material import Material, from_tables, of_tables
+from daemon.studies.replay import ReplayResult
+from daemon.studies.report.material import Material, read_tables, split_by_tracker
 from daemon.studies.report.span import ReportSpan
 from daemon.studies.report.write import with_settings, write_reports
 from solar.ephemeris import DAY_S
@@ -43,7 +43,7 @@ def report_simulation(
 ) -> list[Path]:
     """Write the report of a simulation from its tables; returns the paths of its pages."""
     site, source = settings.site, f"the simulation in {tables}"
-    found = of_tables(from_tables(tables, table_format), span_of(*span), site.place(), site.name, source)
+    found = split_by_tracker(read_tables(tables, table_format), span_of(*span), site.place(), site.name, source)
     return _write_pages(found, settings, out, zone, force=force)
 
 
@@ -51,7 +51,7 @@ def report_replay(
     settings: Settings,
     span: tuple[float, float],
     rows: RecordedScans,
-    replayed: Replayed,
+    replayed: ReplayResult,
     positions: Path,
     out: Path,
     zone: tzinfo | None,
@@ -61,7 +61,7 @@ def report_replay(
     """Write the report of a replay from its rows, its outcome and its positions; returns the page's path."""
     table = pd.read_csv(positions, index_col="time")
     table.index = pd.to_datetime(table.index, utc=True, format="ISO8601")
-    found = of_tables(
+    found = split_by_tracker(
         {
             "scans": _scans(table, rows.faces_w_m2, replayed.qualities),
             "poses": _poses(table),

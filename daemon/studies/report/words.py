@@ -3,30 +3,30 @@
 import math
 from datetime import tzinfo
 
-from daemon.base.words import counted
+from daemon.base.words import pluralise
 from daemon.studies.report.availability import Availability
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import RecordedMotion
-from daemon.studies.report.span import times
+from daemon.studies.report.span import utc_and_local_time
 from daemon.studies.report.told import AlarmSpan
 from daemon.studies.report.yields import RecordedLight, Yield, daylight_s
 from solar.ephemeris import DAY_S
 from solar.skies.sky_periods import LOWEST_SUN_DEG
 
-NO_FIGURE = "–"
+NO_VALUE = "–"
 # With one decimal, less than this would be shown as 0.0.
 _LEAST_TOLD_H = 0.05
 
 
-def number(value: float, digits: int = 1, sign: bool = False) -> str:
+def format_number(value: float, digits: int = 1, sign: bool = False) -> str:
     """Return a number with its decimals and no minus before a zero; a dash if it is not finite."""
     if not math.isfinite(value):
-        return NO_FIGURE
+        return NO_VALUE
     text = f"{value:{'+' if sign else ''}.{digits}f}"
     return f"{abs(float(text)):.{digits}f}" if float(text) == 0.0 else text.replace("-", "−")
 
 
-def length(duration_s: float) -> str:
+def format_duration(duration_s: float) -> str:
     """Return a duration in the units that fit it."""
     if duration_s < 100.0:
         return f"{duration_s:.0f} s"
@@ -39,12 +39,12 @@ def length(duration_s: float) -> str:
     return f"{duration_s / DAY_S:.1f} days"
 
 
-def clock(utc_s: float | None, zone: tzinfo | None, day: bool = False) -> tuple[str, str]:
+def format_times(utc_s: float | None, zone: tzinfo | None, day: bool = False) -> tuple[str, str]:
     """Return an instant [s] in UTC and as the local clock has it, with its day if wanted; dashes for None."""
     if utc_s is None:
-        return NO_FIGURE, NO_FIGURE
+        return NO_VALUE, NO_VALUE
     form = "%Y-%m-%d %H:%M:%S" if day else "%H:%M:%S"
-    utc, local = times(utc_s, zone)
+    utc, local = utc_and_local_time(utc_s, zone)
     return f"{utc:{form}}", f"{local:{form}}"
 
 
@@ -72,12 +72,14 @@ def _sky_sentence(material: Material, light: RecordedLight, gained: Yield) -> st
     high_h = daylight_s(material, span.start_utc_s, span.end_utc_s, LOWEST_SUN_DEG) / 3600.0
     hours["not known"] = high_h - sum(hours.values())
     hours[f"with the sun below {LOWEST_SUN_DEG:g} deg"] = gained.daylight_s / 3600.0 - high_h
-    kinds = ", ".join(f"{number(length_h)} h {kind}" for kind, length_h in hours.items() if length_h >= _LEAST_TOLD_H)
+    kinds = ", ".join(
+        f"{format_number(length_h)} h {kind}" for kind, length_h in hours.items() if length_h >= _LEAST_TOLD_H
+    )
     seen = f": {kinds}" if kinds else ""
     level = gained.faces_kwh_m2[3] if gained.faces_kwh_m2 else math.nan
     return (
-        f"{material.site_name} had {number(gained.daylight_s / 3600.0)} h of daylight{seen};"
-        f" the zenith face measured {number(level, 2)} kWh/m²."
+        f"{material.site_name} had {format_number(gained.daylight_s / 3600.0)} h of daylight{seen};"
+        f" the zenith face measured {format_number(level, 2)} kWh/m²."
     )
 
 
@@ -86,21 +88,24 @@ def _gain_sentence(gained: Yield) -> str:
         return "What the tracker's plane received is not known: there are no good readings in daylight."
     than = "more" if gained.gain_pct >= 0.0 else "less"
     return (
-        f"By the light that the cube shows, the tracker's plane received {number(gained.actual_kwh_m2, 2)} kWh/m²,"
-        f" {number(abs(gained.gain_pct))} % {than} than one that follows the sun by the clock,"
-        f" where the best possible pointing would have gained {number(gained.bound_pct)} %."
+        "By the light that the cube shows, the tracker's plane received"
+        f" {format_number(gained.actual_kwh_m2, 2)} kWh/m², {format_number(abs(gained.gain_pct))} % {than}"
+        f" than one that follows the sun by the clock, where the best possible pointing"
+        f" would have gained {format_number(gained.bound_pct)} %."
     )
 
 
 def _operation_sentence(motion: RecordedMotion, quality: Availability, alarms: list[AlarmSpan]) -> str:
-    moves = f"{counted(motion.moves, 'move')} over {number(motion.travel_a_deg + motion.travel_b_deg, 0)} degrees"
-    valid = number(quality.daylight.valid_pct if quality.daylight.expected else quality.period.valid_pct)
+    moves = (
+        f"{pluralise(motion.moves, 'move')} over {format_number(motion.travel_a_deg + motion.travel_b_deg, 0)} degrees"
+    )
+    valid = format_number(quality.daylight.valid_pct if quality.daylight.expected else quality.period.valid_pct)
     where = "in daylight" if quality.daylight.expected else "of the period"
-    stows = sum(stretch.mode == "stow" for stretch in motion.stretches)
-    faults = sum(stretch.mode == "fault" for stretch in motion.stretches)
+    stows = sum(stretch.mode == "stow" for stretch in motion.mode_periods)
+    faults = sum(stretch.mode == "fault" for stretch in motion.mode_periods)
     what = f"{_count(len(alarms), 'alarm')}, {_count(stows, 'stow')} and {_count(faults, 'fault')}"
     return f"It made {moves}, {valid} % of the expected scans {where} were valid, and the records have {what}."
 
 
 def _count(count: int, what: str) -> str:
-    return f"no {what}s" if not count else counted(count, what)
+    return f"no {what}s" if not count else pluralise(count, what)

@@ -7,7 +7,7 @@ from datetime import tzinfo
 from pathlib import Path
 
 from daemon.base.errors import UserError
-from daemon.base.files import whole_file
+from daemon.base.files import atomic_text_file
 from daemon.config.settings import Settings
 from daemon.store.outputs import check_folder, check_outputs
 from daemon.studies.report.material import Material
@@ -70,7 +70,7 @@ def write_text(path: Path, text: str) -> Path:
     """Write a file whole or not at all, its folder made if it is missing; raises `UserError`."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path, errors="backslashreplace") as file:
+        with atomic_text_file(path, errors="backslashreplace") as file:
             file.write(text)
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror}") from None

@@ -12,7 +12,7 @@ from daemon.studies.report.span import ReportSpan
 from solar.compare import longest_gap_s
 from solar.ephemeris import DAY_S, solar_days, sun_direction
 from solar.frames import Array
-from solar.received import Received, insolation, received
+from solar.received import ReceivedIrradiance, insolation, received_irradiance
 from solar.skies.sky_periods import LOWEST_SUN_DEG, Period, diffuse_fraction_of_faces, sky_periods
 
 USUAL_ALBEDO = 0.2
@@ -49,7 +49,7 @@ class RecordedLight:
     diffuse_fraction: Array
     albedo: float
     albedo_estimated: bool
-    received: Received
+    received: ReceivedIrradiance
 
     def part(self, start_utc_s: float, end_utc_s: float) -> slice:
         """Return where the instants of a stretch of time are."""
@@ -109,7 +109,7 @@ def light_of(material: Material) -> RecordedLight:
     utc_s, first = np.unique(material.times_of("scans"), return_index=True)
     faces = material.faces()[first]
     sun = _suns(utc_s, material)
-    a_deg, b_deg = (held(material, "poses", name, utc_s, _POSE_HOLDS_S) for name in ("a_deg", "b_deg"))
+    a_deg, b_deg = (latest_column_values(material, "poses", name, utc_s, _POSE_HOLDS_S) for name in ("a_deg", "b_deg"))
     albedo, estimated = _albedo(material, utc_s)
     return RecordedLight(
         utc_s=utc_s,
@@ -120,7 +120,7 @@ def light_of(material: Material) -> RecordedLight:
         diffuse_fraction=diffuse_fraction_of_faces(faces, USUAL_ALBEDO),
         albedo=float(np.mean(albedo)) if utc_s.size else USUAL_ALBEDO,
         albedo_estimated=estimated,
-        received=received(faces, sun, a_deg, b_deg, material.limits, albedo),
+        received=received_irradiance(faces, sun, a_deg, b_deg, material.limits, albedo),
     )
 
 
@@ -193,13 +193,13 @@ def sun_up(material: Material, utc_s: Array) -> Array:
     return (_suns(utc_s, material)[:, 2] > 0.0).astype(np.float64)
 
 
-def held(material: Material, kind: str, name: str, utc_s: Array, holds_s: float) -> Array:
+def latest_column_values(material: Material, kind: str, name: str, utc_s: Array, holds_s: float) -> Array:
     """Return a column's newest value at each instant [s]; NaN before the first and once it is older than `holds_s`."""
-    return newest(material.times_of(kind), material.column(kind, name), utc_s, holds_s)
+    return latest_values(material.times_of(kind), material.column(kind, name), utc_s, holds_s)
 
 
-def newest(times: Array, values: Array, utc_s: Array, holds_s: float) -> Array:
-    """Return, at each instant, the newest of `values` at rising `times` [s], as :func:`held` does."""
+def latest_values(times: Array, values: Array, utc_s: Array, holds_s: float) -> Array:
+    """Return, at each instant, the newest of `values` at rising `times` [s], as :func:`latest_column_values` does."""
     if not times.size:
         return np.full(utc_s.shape, np.nan)
     place = np.searchsorted(times, utc_s, side="right") - 1

@@ -16,7 +16,7 @@ from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.picture_file import save_picture
 from daemon.studies.sites.output import is_simulated
 from daemon.studies.sites.study import SiteOutcome
-from daemon.studies.stamp import stamped
+from daemon.studies.stamp import stamp_simulated
 from solar.frames import Array
 
 MOST_MAPS = 4
@@ -61,7 +61,7 @@ def draw_map(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     for panel in panels[len(laws) :]:
         panel.set_visible(False)
     figure.colorbar(shown, ax=list(panels[: len(laws)]), label="gain over ideal chronometric [%]", shrink=0.8)
-    stamped(figure, is_simulated(used), "SIMULATED WEATHER")
+    stamp_simulated(figure, is_simulated(used), "SIMULATED WEATHER")
     save_picture(figure, path)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from daemon.base.files import whole_file
-from daemon.base.words import counted
-from daemon.studies.energy.benchmark import CSV_NUMBERS, UNLIMITED, EnergyRow, csv_cells
+from daemon.base.files import atomic_text_file
+from daemon.base.words import pluralise
+from daemon.studies.energy.benchmark import CSV_NUMBERS, NO_BUDGET_NOTE, EnergyRow, csv_cells
 from daemon.studies.sites.study import Benchmark, SiteOutcome
 from daemon.studies.text_table import WIDTH, signed, table
 from solar.energy import DAY_TYPES
@@ -27,7 +27,7 @@ def is_simulated(outcomes: Sequence[SiteOutcome]) -> bool:
 
 def write_csv(outcomes: Sequence[SiteOutcome], path: Path) -> None:
     """Write a line for each site, sky and law; a site that could not be used has one line with the reason."""
-    with whole_file(path) as file:
+    with atomic_text_file(path) as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow((*_COLUMNS, *CSV_NUMBERS, "simulated", "refused"))
         for outcome in outcomes:
@@ -45,19 +45,20 @@ def as_text(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> str:
     """Return how the gains of each law are spread over the sites, for reading."""
     used = [outcome for outcome in outcomes if outcome.rows]
     names = {outcome.site.name for outcome in used}
-    terms = benchmark.terms
-    speed = terms.drive.speed_deg_per_s
+    assumptions = benchmark.assumptions
+    speed = assumptions.drive.speed_deg_per_s
     moves = "ideal moves" if np.isinf(speed) else f"{speed:g} deg/s"
     days = sum(outcome.days for outcome in used)
     modelled = [outcome for outcome in used if outcome.simulated]
     lines = [
         *([f"SIMULATED: the weather of {len(modelled)} of {len(used)} was not measured."] if modelled else []),
         (
-            f"{counted(len(used), 'line')} of the table, {counted(len(names), 'site')}, {counted(days, 'day')}. Gains"
-            " are over ideal chronometric: their median over the lines, the least and the most, each with its site."
+            f"{pluralise(len(used), 'line')} of the table, {pluralise(len(names), 'site')}, {pluralise(days, 'day')}."
+            " Gains are over ideal chronometric: their median over the lines, the least and the most, each with"
+            " its site."
         ),
-        f"Albedo {terms.albedo:g}; {terms.limits}; {moves}, one axis at a time.",
-        UNLIMITED,
+        f"Albedo {assumptions.albedo:g}; {assumptions.limits}; {moves}, one axis at a time.",
+        NO_BUDGET_NOTE,
     ]
     lines = [line for text in lines for line in wrap(text, WIDTH)]
     for sky in benchmark.skies:
@@ -69,13 +70,13 @@ def as_text(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> str:
     return "\n".join(lines) + "\n"
 
 
-def as_page(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> dict[str, Any]:
+def as_dict(outcomes: Sequence[SiteOutcome], benchmark: Benchmark) -> dict[str, Any]:
     """Return the results for scripts, site by site."""
     return {
         "simulated": is_simulated(outcomes),
-        "albedo": benchmark.terms.albedo,
-        "limits": benchmark.terms.limits,
-        "speed_deg_per_s": benchmark.terms.drive.speed_deg_per_s,
+        "albedo": benchmark.assumptions.albedo,
+        "limits": benchmark.assumptions.limits,
+        "speed_deg_per_s": benchmark.assumptions.drive.speed_deg_per_s,
         "seed": benchmark.seed,
         "sites": [_site_page(outcome) for outcome in outcomes],
     }

@@ -11,10 +11,10 @@ from daemon.base.errors import UserError
 from daemon.config.file import override
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_weather
-from daemon.studies.energy.benchmark import EnergyRow, Minutes, Terms, measured_minutes, run_benchmark
+from daemon.studies.energy.benchmark import Assumptions, EnergyRow, MinuteWeather, read_minute_weather, run_benchmark
 from daemon.studies.sites.table import AskedSite
 from daemon.studies.spread.workers import Workers, gather
-from solar.energy import lay_out
+from solar.energy import arrange_daylight
 from solar.ephemeris import Site, sun_direction
 
 _MINUTE_S = 60.0
@@ -28,7 +28,7 @@ class Benchmark:
     ----------
     skies, laws
         By name.
-    terms
+    assumptions
         Ground and tracker.
     seed
         Seed of built-in weather; each site has clouds of its own from it.
@@ -36,7 +36,7 @@ class Benchmark:
 
     skies: tuple[str, ...]
     laws: tuple[str, ...]
-    terms: Terms
+    assumptions: Assumptions
     seed: int
 
 
@@ -89,11 +89,11 @@ def _run_site(task: _Task) -> SiteOutcome:
     site = Site(*asked.place)
     try:
         minutes = _minutes(asked, site, benchmark.seed)
-        days = lay_out(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
+        days = arrange_daylight(minutes.utc_s, minutes.dni_w_m2, minutes.dhi_w_m2, site)
     except (UserError, ValueError) as error:
         return _refused_outcome(asked, error)
     try:
-        rows = tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.terms, lambda _share: None))
+        rows = tuple(run_benchmark(days, benchmark.skies, benchmark.laws, benchmark.assumptions, lambda _share: None))
     except UserError as error:
         return _refused_outcome(asked, error)
     return SiteOutcome(
@@ -109,13 +109,13 @@ def _refused_outcome(asked: AskedSite, error: Exception) -> SiteOutcome:
     return SiteOutcome(site=asked, days=0, rows=(), simulated=False, warnings=(), refused=str(error))
 
 
-def _minutes(asked: AskedSite, site: Site, seed: int) -> Minutes:
+def _minutes(asked: AskedSite, site: Site, seed: int) -> MinuteWeather:
     if isinstance(asked.weather, str):
         return _model_year(asked, site, seed)
-    return measured_minutes(asked.weather, site)
+    return read_minute_weather(asked.weather, site)
 
 
-def _model_year(asked: AskedSite, site: Site, seed: int) -> Minutes:
+def _model_year(asked: AskedSite, site: Site, seed: int) -> MinuteWeather:
     """Return the daylight of a calendar year (UTC) of built-in weather, with this site's own clouds."""
     year = asked.year or 0
     begin_s, end_s = (datetime(each, 1, 1, tzinfo=UTC).timestamp() for each in (year, year + 1))
@@ -126,4 +126,6 @@ def _model_year(asked: AskedSite, site: Site, seed: int) -> Minutes:
     settings = override(Settings(), {"site": place, "simulation": {"weather": asked.weather, "seed": own_seed}})
     weather, _ = build_weather(settings, begin_s, end_s)
     conditions = weather.at(utc_s)
-    return Minutes(utc_s=utc_s, dni_w_m2=conditions.dni_w_m2, dhi_w_m2=conditions.dhi_w_m2, warnings=[], simulated=True)
+    return MinuteWeather(
+        utc_s=utc_s, dni_w_m2=conditions.dni_w_m2, dhi_w_m2=conditions.dhi_w_m2, warnings=[], simulated=True
+    )

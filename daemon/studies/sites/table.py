@@ -8,8 +8,8 @@ from typing import get_args
 
 from daemon.base.errors import UserError
 from daemon.config.simulation import WeatherName
-from daemon.studies.inputs import check_names, check_table, not_utf8, parse_site, with_point
-from solar.tables import CellError, numbered_rows, opened, why_unread
+from daemon.studies.inputs import check_table, check_unique_columns, not_utf8_error, parse_site, with_decimal_point
+from solar.tables import CellError, numbered_rows, open_table, read_error_text
 
 REQUIRED = ("name", "latitude", "longitude")
 OPTIONAL = ("altitude", "weather", "year")
@@ -61,7 +61,7 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
     """
     separator = check_table(path)
     try:
-        with opened(path) as file:
+        with open_table(path) as file:
             rows = numbered_rows(file, separator)
             names = [name.strip().lower() for name in next(rows, (1, []))[1]]
             _check_columns(path, names)
@@ -69,11 +69,11 @@ def read_sites(path: Path, model: WeatherName | None) -> list[AskedSite]:
                 _site(path, line, names, cells, model, separator) for line, cells in rows if any(map(_is_filled, cells))
             ]
     except UnicodeDecodeError:
-        raise not_utf8(f"--sites: {path}") from None
+        raise not_utf8_error(f"--sites: {path}") from None
     except CellError as error:
         raise UserError(f"--sites: {path} {error}") from None
     except (OSError, EOFError, zlib.error) as error:
-        raise UserError(f"--sites: {path} cannot be read: {why_unread(error)}") from None
+        raise UserError(f"--sites: {path} cannot be read: {read_error_text(error)}") from None
     if not sites:
         raise UserError(f"--sites: {path} has no line with a site below its header")
     _check_names(path, sites)
@@ -90,7 +90,7 @@ def _check_columns(path: Path, names: list[str]) -> None:
     known = f"{', '.join(REQUIRED)}, and if you like {', '.join(OPTIONAL)}"
     if missing:
         raise UserError(f"--sites: {path} has no column {missing[0]}; its columns are {known}")
-    check_names(f"--sites: {path}", names, (*REQUIRED, *OPTIONAL))
+    check_unique_columns(f"--sites: {path}", names, (*REQUIRED, *OPTIONAL))
     if unknown:
         raise UserError(f"--sites: {path} has a column {unknown[0]}, which is not known; its columns are {known}")
 
@@ -106,7 +106,7 @@ def _site(
     if not cells["name"]:
         raise UserError(f"--sites: {where} has no name")
     place = (cells["latitude"], cells["longitude"], cells["altitude"] or "0")
-    text = ",".join(with_point(number, separator) for number in place)
+    text = ",".join(with_decimal_point(number, separator) for number in place)
     latitude_deg, longitude_deg, altitude_m = parse_site(text, f"--sites: {where}")
     weather = _weather(path, where, cells["weather"], model)
     return AskedSite(

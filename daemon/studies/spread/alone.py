@@ -19,17 +19,17 @@ Result = TypeVar("Result")
 _LOOKS_EVERY_S = 1.0
 
 
-class AloneDiedError(Exception):
+class ProcessDiedError(Exception):
     """The process died while it worked on its task."""
 
 
-def alone(work: Callable[[Task], Result], task: Task) -> Result:
-    """Return the result of `work` on a task in its own process, or raise its error; `AloneDiedError` if that dies."""
+def run_in_new_process(work: Callable[[Task], Result], task: Task) -> Result:
+    """Return the result of `work` on a task in its own process, or raise its error; `ProcessDiedError` if that dies."""
     command = [sys.executable, "-m", __name__, str(os.getpid())]
     # Safe to unpickle: the same program writes this answer, in `_main`.
     done = subprocess.run(command, input=pickle.dumps((work, task)), stdout=subprocess.PIPE, check=False)  # noqa: S603
     if done.returncode:
-        raise AloneDiedError(f"ended with {done.returncode}")
+        raise ProcessDiedError(f"ended with {done.returncode}")
     result, error = pickle.loads(done.stdout)  # noqa: S301
     if error is not None:
         raise error

@@ -14,7 +14,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from daemon.base.errors import UserError
-from daemon.studies.spread.alone import AloneDiedError, alone
+from daemon.studies.spread.alone import ProcessDiedError, run_in_new_process
 from daemon.studies.spread.errors import WorkersError
 
 Task = TypeVar("Task")
@@ -51,12 +51,12 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
     except ValueError as error:
         raise UserError(f"--cluster: '{address}' is not an address, such as 192.168.1.5:8786: {error}") from None
     client = _connected(Client, address)
-    pool = ClusterPool(client, address, (KilledWorker, AloneDiedError), apart=apart)
+    pool = ClusterPool(client, address, (KilledWorker, ProcessDiedError), apart=apart)
     try:
         pool.wait()
         yield pool
     except CancelledError:
-        raise pool.gone() from None
+        raise pool.scheduler_gone_error() from None
     except ImportError as error:
         raise WorkersError(f"--cluster: a worker of {address} lacks a module that this machine has: {error}") from None
     except RuntimeError as error:
@@ -73,11 +73,11 @@ def cluster_pool(address: str, *, apart: bool) -> "Iterator[ClusterPool]":
 class ClusterPool:
     """A pool on `distributed.Client.get_executor`; the scheduler itself hands out again the tasks of a dead worker."""
 
-    deaths = 1
+    most_deaths = 1
     """The scheduler tries some workers before it gives a task up."""
 
     def __init__(self, client: Any, address: str, died: tuple[type[BaseException], ...], *, apart: bool) -> None:
-        self.died = died
+        self.death_errors = died
         self.executor: Executor = client.get_executor(pure=False)
         self._client = client
         self._address = address
@@ -86,7 +86,7 @@ class ClusterPool:
         self._last_count_s = -math.inf
         self._missing_since: float | None = None
 
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Return twice the number of threads, so that no worker waits for its next task to arrive."""
         if time.monotonic() - self._last_count_s > _COUNTS_EVERY_S:
             self._count()
@@ -96,7 +96,7 @@ class ClusterPool:
         """Hand out a task."""
         return self.executor.submit(partial(_on_worker, _versions(), work, apart=self._apart), task)
 
-    def revive(self) -> bool:
+    def replace_dead_workers(self) -> bool:
         """Do nothing: the scheduler has given up that one task only, and has workers for the others."""
         return False
 
@@ -108,7 +108,7 @@ class ClusterPool:
             raise self._no_workers_error() from None
         self._check_releases()
 
-    def look(self) -> None:
+    def check_alive(self) -> None:
         """Count the workers; there may be none for up to a minute, while they are started again."""
         self._count()
         if self._threads:
@@ -119,7 +119,7 @@ class ClusterPool:
         if now - self._missing_since > WORKERS_WITHIN_S:
             raise self._no_workers_error()
 
-    def gone(self) -> WorkersError:
+    def scheduler_gone_error(self) -> WorkersError:
         """Return what to say when the scheduler has gone away."""
         return WorkersError(f"--cluster: the scheduler at {self._address} is gone: start it and its workers again")
 
@@ -137,7 +137,7 @@ class ClusterPool:
         try:
             self._threads = sum(self._client.nthreads().values())
         except (OSError, TimeoutError, ValueError):
-            raise self.gone() from None
+            raise self.scheduler_gone_error() from None
         self._last_count_s = time.monotonic()
 
     def _check_releases(self) -> None:
@@ -145,7 +145,7 @@ class ClusterPool:
         try:
             told = self._client.get_versions(packages=[name for name, _ in _versions()[1:]])["workers"]
         except (OSError, TimeoutError, ValueError):
-            raise self.gone() from None
+            raise self.scheduler_gone_error() from None
         for worker, known in told.items():
             for name, wanted in _versions()[1:]:
                 if known and (there := known["packages"].get(name)) != wanted:
@@ -190,6 +190,6 @@ def _on_worker(
         if wanted != here:
             raise _release_error(f"on {platform.node()}", name, here, wanted)
     if apart:
-        return alone(work, task)
+        return run_in_new_process(work, task)
     with _TASK_LOCK:
         return work(task)

@@ -29,14 +29,14 @@ def process_pool(jobs: int) -> "Iterator[ProcessPool]":
 class ProcessPool:
     """A number of processes; when one of them is killed, all are replaced."""
 
-    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
-    deaths = 3
+    death_errors: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    most_deaths = 3
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
         self._executor = self._start()
 
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Return the number of processes."""
         return self._jobs
 
@@ -44,13 +44,13 @@ class ProcessPool:
         """Hand out a task."""
         return self._executor.submit(work, task)
 
-    def revive(self) -> bool:
+    def replace_dead_workers(self) -> bool:
         """Start all processes anew: when one dies, the executor loses the others' work too."""
         self.end()
         self._executor = self._start()
         return True
 
-    def look(self) -> None:
+    def check_alive(self) -> None:
         """Do nothing: the executor reports a dead process at once."""
 
     def close(self) -> None:

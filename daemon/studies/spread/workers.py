@@ -19,21 +19,21 @@ _LOOKS_EVERY_S = 5.0
 class Pool(Protocol):
     """Workers behind the interface of `concurrent.futures`."""
 
-    died: tuple[type[BaseException], ...]
+    death_errors: tuple[type[BaseException], ...]
     """What the future of a task raises if its worker has died."""
-    deaths: int
+    most_deaths: int
     """After this many deaths over one task, the task is the cause, most likely by the memory that it needs."""
 
-    def room(self) -> int:
+    def capacity(self) -> int:
         """Return how many tasks are worth handing out at a time, 1 at least."""
 
     def submit(self, work: Callable[[Task], Result], task: Task) -> "Future[Result]":
         """Hand out a task."""
 
-    def revive(self) -> bool:
+    def replace_dead_workers(self) -> bool:
         """Replace workers that died, and tell whether all tasks that were handed out are lost with them."""
 
-    def look(self) -> None:
+    def check_alive(self) -> None:
         """Raise `WorkersError` if no worker is left; called while no task ends."""
 
 
@@ -53,16 +53,16 @@ class Workers:
     cluster: str | None = None
 
     @property
-    def here(self) -> bool:
+    def is_this_process(self) -> bool:
         """Whether this process works itself."""
         return self.cluster is None and self.jobs == 1
 
 
-HERE = Workers()
+THIS_PROCESS = Workers()
 
 
-def spread(
-    work: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers = HERE, *, apart: bool = False
+def run_tasks(
+    work: Callable[[Task], Result], tasks: Sequence[Task], workers: Workers = THIS_PROCESS, *, apart: bool = False
 ) -> Generator[tuple[int, Result], None, None]:
     """Yield the place of each task with its result, in the order in which they end.
 
@@ -83,7 +83,7 @@ def spread(
     WorkersError
         There is no such cluster, it runs something else, it is gone, or too many workers have died over one task.
     """
-    if workers.here:
+    if workers.is_this_process:
         for place, task in enumerate(tasks):
             yield place, work(task)
         return
@@ -108,7 +108,7 @@ def gather(
     """
     found: dict[int, Result] = {}
     ended: UserError | None = None
-    with closing(spread(work, tasks, workers)) as outcomes:
+    with closing(run_tasks(work, tasks, workers)) as outcomes:
         try:
             for place, result in outcomes:
                 found[place] = result
@@ -150,12 +150,12 @@ class _TaskDistributor(Generic[Task, Result]):
             dead = self._hand_out()
             ended = set() if dead else wait(self._places_by_future, _LOOKS_EVERY_S, FIRST_COMPLETED).done
             if not ended and not dead:
-                self._pool.look()
+                self._pool.check_alive()
             for future in ended:
                 place = self._places_by_future.pop(future)
                 try:
                     result = future.result()
-                except self._pool.died:
+                except self._pool.death_errors:
                     dead.append(place)
                 else:
                     yield place, result
@@ -164,22 +164,22 @@ class _TaskDistributor(Generic[Task, Result]):
 
     def _hand_out(self) -> list[int]:
         """Hand out tasks while there is room; return the task that found no worker alive, if there was one."""
-        while self._waiting and len(self._places_by_future) < self._pool.room():
+        while self._waiting and len(self._places_by_future) < self._pool.capacity():
             place = self._waiting.popleft()
             try:
                 future = self._pool.submit(self._work, self._tasks[place])
-            except self._pool.died:
+            except self._pool.death_errors:
                 return [place]
             self._places_by_future[future] = place
         return []
 
     def _requeue_dead(self, dead: list[int]) -> None:
-        if self._pool.revive():
+        if self._pool.replace_dead_workers():
             dead += self._places_by_future.values()
             self._places_by_future.clear()
         self._deaths.update(dead)
         for place in dead:
-            if self._deaths[place] == self._pool.deaths:
+            if self._deaths[place] == self._pool.most_deaths:
                 raise WorkersError(
                     f"every worker that took task {place + 1} of {len(self._tasks)} has died: look whether its machine"
                     " has run out of memory, and let fewer of them work at a time"

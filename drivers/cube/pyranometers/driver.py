@@ -9,7 +9,7 @@ from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
 from drivers.errors import ConnectError, DeviceError, DriverHungError, LinkLostError
 from drivers.interfaces import CubeReading, FaceSample
 from drivers.modbus.client import ModbusBus
-from drivers.modbus.paths import ModbusPath, path_to
+from drivers.modbus.paths import ModbusTransport, build_transport
 from drivers.settings import CubeSurroundings, SettingsError
 
 DEVICE = "cube"
@@ -50,7 +50,9 @@ class SensorLine:
         self._failures = 0
         self._open_again_s = 0.0
         for _, sensor in sensors:
-            sensor.twins = tuple(other for _, other in sensors if other is not sensor and other.unit == sensor.unit)
+            sensor.same_address_sensors = tuple(
+                other for _, other in sensors if other is not sensor and other.unit == sensor.unit
+            )
 
     async def open(self, within_s: float = 15.0) -> None:
         """Connect; `why_not` says what has failed."""
@@ -150,7 +152,7 @@ class PyranometerCube:
 def build(
     settings: PyranometersSettings,
     surroundings: CubeSurroundings,
-    path: Callable[[str], ModbusPath] | None = None,
+    path: Callable[[str], ModbusTransport] | None = None,
 ) -> PyranometerCube:
     """Return the cube, not yet connected.
 
@@ -162,8 +164,8 @@ def build(
         Returns the way over a line by its name; by default the one that the name says.
     """
 
-    def configured(name: str) -> ModbusPath:
-        return path_to(
+    def configured(name: str) -> ModbusTransport:
+        return build_transport(
             DEVICE, name, settings.serial_speed, settings.serial_form, surroundings.monotonic_s, surroundings.tap
         )
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 from drivers.cube.pyranometers.settings import MakeName, RegisterMapSettings
 from drivers.interfaces import FaceFlaw
-from drivers.modbus.pdu import READ_HOLDING, READ_INPUT, number, words_of
+from drivers.modbus.pdu import READ_HOLDING, READ_INPUT_REGISTERS, decode_number, register_count
 
 Words = tuple[int, ...]
 
@@ -23,7 +23,7 @@ class Block(NamedTuple):
     length: int
 
 
-class Told(NamedTuple):
+class SensorReading(NamedTuple):
     """What a sensor tells in one reply.
 
     Attributes
@@ -41,7 +41,7 @@ class Told(NamedTuple):
     note: str = ""
 
 
-class WhoAmI(NamedTuple):
+class SensorIdentity(NamedTuple):
     """Who a sensor says it is; no serial number where its make tells none."""
 
     text: str
@@ -67,13 +67,13 @@ class Make(Protocol):
     def more(self) -> tuple[Block, ...]:
         """Further blocks that `identify` needs."""
 
-    def identify(self, proof: Words, *more: Words) -> WhoAmI:
+    def identify(self, proof: Words, *more: Words) -> SensorIdentity:
         """Return who it is; `WrongSensorError` if it is something else."""
 
     def serial(self, proof: Words) -> int | None:
         """Return the serial number."""
 
-    def told(self, data: Words) -> Told:
+    def decode(self, data: Words) -> SensorReading:
         """Return what it tells."""
 
 
@@ -108,39 +108,41 @@ _SMP_FACTORS = {2: 0.01, 1: 0.1, 0: 1.0, -1: 10.0}
 class Smp:
     """Kipp & Zonen SMP3 to SMP22. Reading register 7 restarts the sensor's deviation, so it is never read."""
 
-    data = Block(READ_INPUT, 0, 7)
-    proof: Block | None = Block(READ_INPUT, 41, 5)
-    more: tuple[Block, ...] = (Block(READ_INPUT, 0, 2),)
+    data = Block(READ_INPUT_REGISTERS, 0, 7)
+    proof: Block | None = Block(READ_INPUT_REGISTERS, 41, 5)
+    more: tuple[Block, ...] = (Block(READ_INPUT_REGISTERS, 0, 2),)
 
-    def identify(self, proof: Words, *more: Words) -> WhoAmI:
+    def identify(self, proof: Words, *more: Words) -> SensorIdentity:
         """Return type, serial number and software."""
         kind = more[0][0]
         self._require_kind(kind)
         batch, serial, software, *_ = proof
         name = _SMP_NAMES.get(kind, f"SMP of type {kind}")
-        return WhoAmI(f"{name} no. {serial} of {batch}, software {software}", serial)
+        return SensorIdentity(f"{name} no. {serial} of {batch}, software {software}", serial)
 
     def serial(self, proof: Words) -> int | None:
         """Return the serial number."""
         return proof[1]
 
-    def told(self, data: Words) -> Told:
+    def decode(self, data: Words) -> SensorReading:
         """Refuse the value in any mode but the normal one, or with a flag set; bit 3 alone is a warning."""
         kind, _, mode, status, scale, value, _ = data
         self._require_kind(kind)
         if mode != 1:
-            return Told(math.nan, "missing", f"is in {_SMP_MODES.get(mode, f'mode {mode}')}, not in normal mode")
+            return SensorReading(
+                math.nan, "missing", f"is in {_SMP_MODES.get(mode, f'mode {mode}')}, not in normal mode"
+            )
         flags = [name for bit, name in _SMP_FLAGS.items() if status >> bit & 1]
         if flags:
             flaw: FaceFlaw = "over-range" if status & _SMP_OVERFLOW else "missing"
-            return Told(math.nan, flaw, f"reports {', '.join(flags)}")
-        power = int(number((scale,), "int16"))
+            return SensorReading(math.nan, flaw, f"reports {', '.join(flags)}")
+        power = int(decode_number((scale,), "int16"))
         if power not in _SMP_FACTORS:
-            return Told(math.nan, "missing", f"has the scale {power}, which is not in its manual")
+            return SensorReading(math.nan, "missing", f"has the scale {power}, which is not in its manual")
         note = ""
         if status & _SMP_ERROR:
             note = "keeps an error from earlier; its values are used, and 'heliocube probe cube --clear' clears it"
-        return Told(round(number((value,), "int16") * _SMP_FACTORS[power], 2), None, note)
+        return SensorReading(round(decode_number((value,), "int16") * _SMP_FACTORS[power], 2), None, note)
 
     def _require_kind(self, kind: int) -> None:
         if kind in _SMP_OTHERS or not 600 <= kind < 700:
@@ -162,7 +164,7 @@ class Hukseflux:
         self.more: tuple[Block, ...] = (Block(READ_HOLDING, base + 6, 4), Block(READ_HOLDING, base + 32, 5))
         self._per_w_m2 = 100.0
 
-    def identify(self, proof: Words, *more: Words) -> WhoAmI:
+    def identify(self, proof: Words, *more: Words) -> SensorIdentity:
         """Return model and serial number, and take in the scale."""
         scale, model = more[0][2], _text_low_first(more[1])
         if not model.startswith("SR"):
@@ -170,18 +172,18 @@ class Hukseflux:
         if scale == 0:
             raise WrongSensorError("has the scale 0 in register 8")
         self._per_w_m2 = float(scale)
-        return WhoAmI(f"{model} no. {proof[0]}", proof[0])
+        return SensorIdentity(f"{model} no. {proof[0]}", proof[0])
 
     def serial(self, proof: Words) -> int | None:
         """Return the serial number."""
         return proof[0]
 
-    def told(self, data: Words) -> Told:
+    def decode(self, data: Words) -> SensorReading:
         """Return the compensated irradiance; the ends of its range are no values."""
-        raw = number(data, "int32")
+        raw = decode_number(data, "int32")
         if abs(raw) >= 2**31 - 1:
-            return Told(math.nan, "over-range", "is at the end of its range")
-        return Told(raw / self._per_w_m2)
+            return SensorReading(math.nan, "over-range", "is at the end of its range")
+        return SensorReading(raw / self._per_w_m2)
 
 
 @dataclass(frozen=True)
@@ -194,41 +196,47 @@ class PlainRegisters:
         Of the make.
     data, proof
         The blocks that are read.
-    used
+    register_map
         How the number is written, its factor to W/m2, and the bits of the status that spoil it.
-    value_at, status_at
+    value_offset, status_offset
         Where number and status begin in `data`; None: there is no status.
-    with_serial
+    has_serial
         Whether `proof` is the serial number.
     """
 
     name: str
     data: Block
     proof: Block | None
-    used: RegisterMapSettings
-    value_at: int = 0
-    status_at: int | None = None
-    with_serial: bool = False
+    register_map: RegisterMapSettings
+    value_offset: int = 0
+    status_offset: int | None = None
+    has_serial: bool = False
     more: tuple[Block, ...] = ()
 
-    def identify(self, proof: Words, *more: Words) -> WhoAmI:  # noqa: ARG002 - there is no more
+    def identify(self, proof: Words, *more: Words) -> SensorIdentity:  # noqa: ARG002 - there is no more
         """Return the make, and the serial number if there is one."""
         serial = self.serial(proof)
-        return WhoAmI(self.name if serial is None else f"{self.name} no. {serial}", serial)
+        return SensorIdentity(self.name if serial is None else f"{self.name} no. {serial}", serial)
 
     def serial(self, proof: Words) -> int | None:
         """Return the serial number."""
-        return int(number(proof, self.used.serial_type, self.used.word_order)) if self.with_serial else None
+        return (
+            int(decode_number(proof, self.register_map.serial_type, self.register_map.word_order))
+            if self.has_serial
+            else None
+        )
 
-    def told(self, data: Words) -> Told:
+    def decode(self, data: Words) -> SensorReading:
         """Return the number, unless a bit of the status or the number itself says that there is none."""
-        if self.status_at is not None and (bits := data[self.status_at] & self.used.status_bits):
-            return Told(math.nan, "missing", f"reports status bits {bits:#06x}")
-        words = data[self.value_at : self.value_at + words_of(self.used.number_type)]
-        value = number(words, self.used.number_type, self.used.word_order) * self.used.scale
+        if self.status_offset is not None and (bits := data[self.status_offset] & self.register_map.status_bits):
+            return SensorReading(math.nan, "missing", f"reports status bits {bits:#06x}")
+        words = data[self.value_offset : self.value_offset + register_count(self.register_map.number_type)]
+        value = (
+            decode_number(words, self.register_map.number_type, self.register_map.word_order) * self.register_map.scale
+        )
         if math.isnan(value):
-            return Told(value, "missing", "sends no number in its registers")
-        return Told(value)
+            return SensorReading(value, "missing", "sends no number in its registers")
+        return SensorReading(value)
 
 
 def make_of(name: MakeName, used: RegisterMapSettings) -> Make:
@@ -243,22 +251,22 @@ def make_of(name: MakeName, used: RegisterMapSettings) -> Make:
 
 
 def _registers_of_map(used: RegisterMapSettings) -> PlainRegisters:
-    first, count = used.register_number, words_of(used.number_type)
+    first, count = used.register_number, register_count(used.number_type)
     last = first + count - 1
     if used.status_register is not None:
         first, last = min(first, used.status_register), max(last, used.status_register)
     data = Block(used.function, first, last - first + 1)
     proof = None if data.length == 1 else Block(used.function, first, 1)
     if used.serial_register is not None:
-        proof = Block(used.function, used.serial_register, words_of(used.serial_type))
+        proof = Block(used.function, used.serial_register, register_count(used.serial_type))
     return PlainRegisters(
         name="pyranometer",
         data=data,
         proof=proof,
-        used=used,
-        value_at=used.register_number - first,
-        status_at=None if used.status_register is None else used.status_register - first,
-        with_serial=used.serial_register is not None,
+        register_map=used,
+        value_offset=used.register_number - first,
+        status_offset=None if used.status_register is None else used.status_register - first,
+        has_serial=used.serial_register is not None,
     )
 
 
@@ -272,19 +280,19 @@ _PLAIN = {
         name="Apogee SP-500",
         data=Block(READ_HOLDING, 0, 2),
         proof=Block(READ_HOLDING, 0, 4),
-        used=RegisterMapSettings(),
+        register_map=RegisterMapSettings(),
     ),
     "eko-ms60s": PlainRegisters(
         name="EKO MS-60S",
         data=Block(READ_HOLDING, 2, 2),
         proof=Block(READ_HOLDING, 2, 1),
-        used=RegisterMapSettings(register_number=2),
+        register_map=RegisterMapSettings(register_number=2),
     ),
     "delta-ohm": PlainRegisters(
         name="Delta OHM LPPYRA13",
-        data=Block(READ_INPUT, 2, 2),
-        proof=Block(READ_INPUT, 2, 1),
-        used=RegisterMapSettings(function=4, register_number=2, number_type="int16", status_bits=0b1101),
-        status_at=1,
+        data=Block(READ_INPUT_REGISTERS, 2, 2),
+        proof=Block(READ_INPUT_REGISTERS, 2, 1),
+        register_map=RegisterMapSettings(function=4, register_number=2, number_type="int16", status_bits=0b1101),
+        status_offset=1,
     ),
 }

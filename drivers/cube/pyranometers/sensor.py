@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 
 from drivers.cube.pyranometers.makes import Block, Make, Words, WrongSensorError
-from drivers.errors import DeadlineError, RefusedError, UnreachedError
+from drivers.errors import DeadlineError, RefusedError, UnavailableError
 from drivers.interfaces import FaceFlaw, FaceSample
 from drivers.modbus.client import ModbusBus
 
@@ -44,7 +44,7 @@ class BusSensor:
         Whether it has answered when it was last asked.
     identity
         Who it is; empty while that is not known.
-    twins
+    same_address_sensors
         Others at the same address, as at a logger: on RTU a late reply for this sensor looks like one for them.
     """
 
@@ -68,7 +68,7 @@ class BusSensor:
         self._utc_s = utc_s
         self._now = monotonic_s
         self._flaw: FaceFlaw = "late"
-        self.twins: tuple[BusSensor, ...] = ()
+        self.same_address_sensors: tuple[BusSensor, ...] = ()
         self.begin()
 
     def begin(self) -> None:
@@ -89,7 +89,7 @@ class BusSensor:
             return self._sample_without_value(self._flaw)
         try:
             return await self._ask(check=check)
-        except UnreachedError as error:
+        except UnavailableError as error:
             return self._note_miss("missing", f"does not answer: {error.message}")
         except DeadlineError as error:
             text = f"answers, but {error.message}" if error.message else "does not answer"
@@ -113,7 +113,7 @@ class BusSensor:
             await self._prove()
         elif check and self._pinned is not None and self._make.proof is not None:
             self._require(self._make.serial(await self._read(self._make.proof)))
-        told = self._make.told(await self._read(self._make.data))
+        told = self._make.decode(await self._read(self._make.data))
         self.answers = True
         if self._doubtful:
             # A late reply to an earlier question would look like this one: only the next reply is believed.
@@ -154,7 +154,7 @@ class BusSensor:
     def _note_miss(self, flaw: FaceFlaw, why: str, *, at_once: bool = False) -> FaceSample:
         if not at_once:
             self.answers = False
-            for each in (self, *self.twins):
+            for each in (self, *self.same_address_sensors):
                 each.doubt()
         self._proven = False
         self._misses += 1

@@ -19,7 +19,7 @@ from drivers.settings import (
     SettingsError,
     check_host,
     stable_visa,
-    text_of,
+    text_schema,
 )
 
 _SECTION = "instruments.cube"
@@ -33,7 +33,7 @@ def _resource(text: str) -> str:
     return text
 
 
-VisaOrSocket = Annotated[str, AfterValidator(_resource), text_of("visa-or-socket")]
+VisaOrSocket = Annotated[str, AfterValidator(_resource), text_schema("visa-or-socket")]
 Channel = Annotated[int, Field(ge=1, le=399)]
 
 

@@ -76,8 +76,8 @@ class ScanningMeterCube(ScpiMeter["_ScanSession"]):
             try:
                 pairs = await session.scan()
                 end_s = self._around.monotonic_s()
-                with session.doubting():
-                    await session.look()
+                with session.doubtful_exchange():
+                    await session.check_next_setting()
             except (LinkLostError, ConnectError):
                 await self.close()
                 raise
@@ -115,7 +115,7 @@ class _ScanSession(MeterSession):
         self._commands = dialect.commands(channel_list(channels), range_v, nplc)
         self._cards: list[str] = []
 
-    def require(self, identity: str) -> None:
+    def require_identity(self, identity: str) -> None:
         """Raise `IdentityError` unless it is of the dialect's make."""
         if not self._dialect.identity.search(identity):
             raise IdentityError(DEVICE, f"answers {identity[:80]!r}, which is no {self._dialect.name}")
@@ -132,8 +132,8 @@ class _ScanSession(MeterSession):
 
     async def scan(self) -> list[tuple[int, str]]:
         """Return channel and reading, as text, in the order of the scan."""
-        await self.make_sure()
-        with self.doubting():
+        await self.ensure_synchronised()
+        with self.doubtful_exchange():
             reply = await self.ask(self._dialect.scan)
             parts = reply.split(",")
             found = [_CHANNEL.fullmatch(part) for part in parts[1::2]]

@@ -19,7 +19,7 @@ from drivers.settings import (
     Positive,
     SettingsConflict,
     SettingsError,
-    text_of,
+    text_schema,
     with_defaults,
 )
 
@@ -27,7 +27,7 @@ _STEP = {"mm": 0.02, "deg": 0.02, "impulse": 1.5}
 """A Hall count and a little, for a positioner that does not tell how many counts a position unit has."""
 B_OUT_BIT = {"unknown": None, "stm": wire.B_OUT_BIT_STM, "lpc": wire.B_OUT_BIT_LPC}
 
-Banner = Annotated[str, Field(pattern=r"^[ -#%-~]{4,80}$"), text_of("banner")]
+Banner = Annotated[str, Field(pattern=r"^[ -#%-~]{4,80}$"), text_schema("banner")]
 
 
 class AxisGeometry(DriverSettings):

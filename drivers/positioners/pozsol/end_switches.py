@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivers.interfaces import AxisName, Telemetry
 from drivers.positioners.pozsol.geometry import AxisSetup
-from drivers.positioners.pozsol.reference import SHOWS
+from drivers.positioners.pozsol.reference import DESTINATION_TOLERANCE
 from drivers.positioners.pozsol.refusals import likely_cause
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, SWITCH_BITS, StatusWord
 
@@ -22,25 +22,25 @@ _OFF_DEG = 5.0
 _NEAR_DEG = 0.5
 
 
-def off_switch(setup: AxisSetup, here: float, may_stand_at: float | None) -> int | None:
+def leave_switch_position(setup: AxisSetup, here: float, possible_position: float | None) -> int | None:
     """Return the whole position to send for an axis to leave the end switch that it stands on, or seems to stand on.
 
-    None if it need not leave it (`may_stand_at` is None), if it is off it already, and if the way might take it beyond
-    its limit, either from `here`, its position by the count that began on the switch, or from `may_stand_at`, its
-    position by the count before that.
+    None if it need not leave it (`possible_position` is None), if it is off it already, and if the way might take it
+    beyond its limit, either from `here`, its position by the count that began on the switch, or from
+    `possible_position`, its position by the count before that.
     """
-    if may_stand_at is None:
+    if possible_position is None:
         return None
     way = setup.units(_OFF_DEG)
     # The unit adds its offset to what is sent, which is 0 at the least.
     whole = max(math.ceil(way - setup.zero_offset), 0)
     goes_to = whole + setup.zero_offset
     highest = max(setup.geometry.position(end_deg) for end_deg in (setup.minimum_deg, setup.maximum_deg))
-    stays_inside = all(place + goes_to + _RUN_OUT_UNITS <= highest for place in (here, may_stand_at))
+    stays_inside = all(place + goes_to + _RUN_OUT_UNITS <= highest for place in (here, possible_position))
     return whole if stays_inside and here <= 0.5 * way else None
 
 
-class WayOffSwitch:
+class LeaveSwitchMove:
     """The way of an axis off its end switch: whether it is over, and whether the unit has gone astray on it.
 
     Parameters
@@ -48,11 +48,11 @@ class WayOffSwitch:
     axis, setup
         The axis, and how it is built.
     whole
-        The position that it is sent to, as `off_switch` returns it.
+        The position that it is sent to, as `leave_switch_position` returns it.
 
     Attributes
     ----------
-    goes_to
+    destination
         The destination that the unit has to show.
     trouble
         Why it does not get there; empty as long as nothing speaks against it.
@@ -60,7 +60,7 @@ class WayOffSwitch:
 
     def __init__(self, axis: AxisName, setup: AxisSetup, whole: int) -> None:
         self._axis, self._near = axis, setup.units(_NEAR_DEG)
-        self.goes_to = whole + setup.zero_offset
+        self.destination = whole + setup.zero_offset
         self.trouble = ""
         self._taken = False
 
@@ -68,17 +68,17 @@ class WayOffSwitch:
         """Take in one look; the way is over too if something else, such as the unit's tracking, sends the axis off."""
         a, b = (seen.position_a, seen.destination_a), (seen.position_b, seen.destination_b)
         position, destination = a if self._axis == "a" else b
-        aims = abs(destination - self.goes_to) <= SHOWS
+        aims = abs(destination - self.destination) <= DESTINATION_TOLERANCE
         if seen.faults or seen.autonomous:
             self.trouble = likely_cause(seen)
         elif self._taken and not aims:
-            self.trouble = f"it heads for position {destination:g}, but was sent to {self.goes_to:g}"
+            self.trouble = f"it heads for position {destination:g}, but was sent to {self.destination:g}"
         self._taken = self._taken or aims
-        return bool(self.trouble) or abs(position - self.goes_to) <= self._near
+        return bool(self.trouble) or abs(position - self.destination) <= self._near
 
 
 @dataclass
-class BLayout:
+class AxisBBitDetector:
     """Finds out where axis B's three bits (out, in, homing) begin; `bit` is None as long as that is not known."""
 
     bit: int | None
@@ -116,7 +116,7 @@ class SwitchCheck:
     _last_misfit: bool = False
 
     @property
-    def suspects(self) -> bool:
+    def is_pending(self) -> bool:
         """Whether the next status decides."""
         return self._last_misfit
 

@@ -49,7 +49,7 @@ class HomingRun:
         Time from which telemetry may show the command's effect.
     trusted
         The count was not in doubt before.
-    stood
+    last_trusted_position
         Where the axis stood by the last count that could be trusted; `start` if `trusted`, None if unknown.
 
     Attributes
@@ -60,7 +60,7 @@ class HomingRun:
         Once over: why the run did not find the switch; empty if it did.
     mismatch
         Once over without failure: how the switch contradicts the count; empty if it does not.
-    stands
+    position_if_switch_wrong
         Once over, if the count and the switch contradict each other: where the axis stands if the switch is wrong.
     """
 
@@ -69,12 +69,12 @@ class HomingRun:
     start: float
     sent_s: float
     trusted: bool
-    stood: float | None
+    last_trusted_position: float | None
     begun: bool = False
     over: bool = False
     failure: str = ""
     mismatch: str = ""
-    stands: float | None = None
+    position_if_switch_wrong: float | None = None
     travelled: bool = False
     _last: float | None = field(default=None, repr=False)
     _changed_s: float = field(default=0.0, repr=False)
@@ -122,7 +122,7 @@ class HomingRun:
 
     def _mismatch(self, seen: AxisObservation) -> str:
         slip, name = self.setup.units(_SLIP_DEG), self.axis.upper()
-        stood = self.start if self.stood is None else self.stood
+        stood = self.start if self.last_trusted_position is None else self.last_trusted_position
         if not self.travelled and not (abs(stood) <= slip):
             return (
                 f"axis {name} did not move on its reference run although it stood at {stood:g}:"
@@ -131,8 +131,8 @@ class HomingRun:
         if f"{self.axis}_high" in seen.status.end_switches:
             return f"axis {name} shows both of its end switches closed"
         expected, allowed = self.start - stood, slip if self.trusted else self.setup.units(_LOST_DEG)
-        if self.stood is not None and not (abs(seen.remain - expected) <= allowed):
-            self.stands = seen.remain - expected if math.isfinite(seen.remain - expected) else None
+        if self.last_trusted_position is not None and not (abs(seen.remain - expected) <= allowed):
+            self.position_if_switch_wrong = seen.remain - expected if math.isfinite(seen.remain - expected) else None
             return (
                 f"axis {name} met its end switch where its count was {seen.remain:g}, not {expected:g}: home it again"
                 " to see whether count or switch is wrong"

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 
 from drivers.errors import LinkLostError
 from drivers.lines.serial_port import SerialPort
-from drivers.lines.threads import DeviceThread, no_room
+from drivers.lines.threads import DeviceThread, thread_start_error
 from drivers.positioners.pozsol.stream import Port, TelemetryReader
 from drivers.positioners.pozsol.table import FieldTable, Value
 from drivers.positioners.pozsol.wire import require_allowed
@@ -31,7 +31,7 @@ class LinkState(NamedTuple):
         When the unit last began to count from elsewhere, or None.
     restarted_s
         When the unit has last printed its banner, or None.
-    unseen_s
+    moved_unseen_s
         When an axis last showed far from its place before a silence, in which it can have moved there, or None.
     """
 
@@ -39,7 +39,7 @@ class LinkState(NamedTuple):
     as_of_s: float = -math.inf
     jumped_s: float | None = None
     restarted_s: float | None = None
-    unseen_s: float | None = None
+    moved_unseen_s: float | None = None
 
 
 class PositionerLine(Protocol):
@@ -61,7 +61,7 @@ class PositionerLine(Protocol):
     def state(self) -> LinkState:
         """Return what has come since `open`; `LinkLostError` when the link is lost or not open."""
 
-    def has_lines(self) -> bool:
+    def has_modem_lines(self) -> bool:
         """Tell whether there are modem lines, which are then as they were asked for."""
 
 
@@ -113,7 +113,7 @@ class SerialLine:
             self._reader = TelemetryReader(port, self._now, boot_s=self.boot_s, banner=self._banner, table=FieldTable())
         except RuntimeError:
             await self._thread.finish(port.close, _CLOSE_S)
-            raise no_room(_DEVICE) from None
+            raise thread_start_error(_DEVICE) from None
 
     async def close(self) -> None:
         """Release the port."""
@@ -125,7 +125,7 @@ class SerialLine:
     async def send(self, packet: bytes) -> None:
         """Write one packet, within `write_s`."""
         reader = self._require_reader()
-        reader.attend()
+        reader.read_promptly()
         await self._thread.call(lambda: reader.port.write(packet), self._write_s)
 
     def state(self) -> LinkState:
@@ -133,12 +133,15 @@ class SerialLine:
         reader = self._require_reader()
         table = reader.table
         return LinkState(
-            table.snapshot(), jumped_s=table.jumped_s, restarted_s=reader.restarted_s, unseen_s=table.unseen_s
+            table.snapshot(),
+            jumped_s=table.jumped_s,
+            restarted_s=reader.restarted_s,
+            moved_unseen_s=table.moved_unseen_s,
         )
 
-    def has_lines(self) -> bool:
+    def has_modem_lines(self) -> bool:
         """Tell whether the port has modem lines."""
-        return self._require_reader().port.has_lines()
+        return self._require_reader().port.has_modem_lines()
 
     def _require_reader(self) -> TelemetryReader:
         reader = self._reader

@@ -21,15 +21,15 @@ from dataclasses import replace
 from drivers.errors import ConnectError, IdentityError, LinkLostError, RefusedError, StillMovingError
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.pozsol import wire
-from drivers.positioners.pozsol.end_switches import WayOffSwitch, off_switch
+from drivers.positioners.pozsol.end_switches import LeaveSwitchMove, leave_switch_position
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.link import PositionerLine
-from drivers.positioners.pozsol.reference import SHOWS
-from drivers.positioners.pozsol.refusals import likely_cause, misfit, why_not_standing
+from drivers.positioners.pozsol.reference import DESTINATION_TOLERANCE
+from drivers.positioners.pozsol.refusals import geometry_mismatch, likely_cause, why_not_standing
 from drivers.positioners.pozsol.standstill import Standstill
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.unit_setup import SETUP_FIELDS, conflicts, count_step
-from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch, position_of
+from drivers.positioners.pozsol.watch import FAST_FIELDS, SLOW_FIELDS, PositionerWatch, position_of
 from drivers.positioners.pozsol.wire import Field, encode_command
 
 _DEVICE = "positioner"
@@ -121,7 +121,7 @@ class PozsolPositioner:
     async def close(self) -> None:
         """Release the link; a move goes on."""
         self._identified, self._nothing_sent = False, True
-        self._watch.break_off_run()
+        self._watch.abort_reference_run()
         await self._line.close()
 
     async def read_telemetry(self) -> Telemetry:
@@ -147,9 +147,9 @@ class PozsolPositioner:
         """Return every field that has come since `open`, by its code, as the unit prints it."""
         return {code: _text(value) for code, value in sorted(self._line.state().values.items())}
 
-    def has_lines(self) -> bool:
+    def has_modem_lines(self) -> bool:
         """Tell whether the line has modem lines, which are then as they were asked for."""
-        return self._line.has_lines()
+        return self._line.has_modem_lines()
 
     async def disable_autonomy(self) -> None:
         """Switch the unit's own tracking off if it is on, and halt: switching it off stops no motor that runs."""
@@ -186,14 +186,14 @@ class PozsolPositioner:
         stops, sent_s = self._stops, 0.0
         for axis in (first, "b" if first == "a" else "a"):
             if not all(abs(place - wanted[axis]) <= _AT_TARGET for place in shown[axis]):
-                self._watch.tell(axis, wanted[axis])
+                self._watch.note_target(axis, wanted[axis])
                 sent_s = await self._send(_TARGET[axis], whole[axis], stops)
         try:
             await self._confirm(
                 lambda seen: (
                     seen.time_monotonic_s > sent_s
-                    and abs(seen.destination_a - wanted["a"]) <= SHOWS
-                    and abs(seen.destination_b - wanted["b"]) <= SHOWS
+                    and abs(seen.destination_a - wanted["a"]) <= DESTINATION_TOLERANCE
+                    and abs(seen.destination_b - wanted["b"]) <= DESTINATION_TOLERANCE
                 ),
                 what,
                 stops,
@@ -207,7 +207,7 @@ class PozsolPositioner:
     async def stop(self) -> None:
         """Send stop now; a call that is in the middle of sending something else sends no more."""
         self._stops += 1
-        self._watch.break_off_run()
+        self._watch.abort_reference_run()
         packet, first = encode_command(Field.ACTION, wire.STOP), self._nothing_sent
         await self._transmit(packet)
         if first:
@@ -229,12 +229,12 @@ class PozsolPositioner:
         await self._stop_until_standing(stops)
         await self._leave_switch(axis, stops)
         before = self._read()
-        self._watch.begin_run(axis, before, self._now() + _UNDER_WAY_S)
+        self._watch.begin_reference_run(axis, before, self._now() + _UNDER_WAY_S)
         try:
-            run = self._watch.begin_run(axis, before, await self._send(Field.ACTION, _HOME[axis], stops))
+            run = self._watch.begin_reference_run(axis, before, await self._send(Field.ACTION, _HOME[axis], stops))
             await self._confirm(lambda _: run.begun, f"to home axis {axis.upper()}", stops, _STATUS_SHOWS_S)
         except BaseException:
-            self._watch.break_off_run()
+            self._watch.abort_reference_run()
             raise
 
     async def clear_faults(self, *, forgive: bool = True) -> Telemetry:
@@ -269,7 +269,7 @@ class PozsolPositioner:
                 raise IdentityError(
                     _DEVICE, f"says it is board {board[:20]!r}, not {' or '.join(self._boards)}: nothing is sent to it"
                 )
-            missing = [field for field in (*_IDENTITY, *SLOW, *FAST) if field not in known]
+            missing = [field for field in (*_IDENTITY, *SLOW_FIELDS, *FAST_FIELDS) if field not in known]
             if not missing:
                 self._identified = True
                 firmware, serial = _text(known[Field.VERSION]), _text(known[Field.SERIAL])
@@ -310,17 +310,17 @@ class PozsolPositioner:
 
     def _require_fit(self, what: str) -> Telemetry:
         seen = self._read()
-        if why := likely_cause(seen) if seen.faults or seen.homing else misfit(seen, self._axes):
+        if why := likely_cause(seen) if seen.faults or seen.homing else geometry_mismatch(seen, self._axes):
             raise RefusedError(_DEVICE, f"is not given {what}: {why}")
         return seen
 
     async def _leave_switch(self, axis: AxisName, stops: int) -> None:
         """Drive an axis off its end switch by a few degrees where its count there is in doubt, and that is safe."""
         setup, here = self._axes[axis], position_of(axis, self._read())
-        if (whole := off_switch(setup, here, self._watch.reference.may_stand_at(axis))) is None:
+        if (whole := leave_switch_position(setup, here, self._watch.reference.possible_position(axis))) is None:
             return
-        way = WayOffSwitch(axis, setup, whole)
-        self._watch.tell(axis, way.goes_to)
+        way = LeaveSwitchMove(axis, setup, whole)
+        self._watch.note_target(axis, way.destination)
         await self._send(_TARGET[axis], whole, stops)
         await self._confirm(way.is_over, f"to leave the end switch of axis {axis.upper()}", stops, _LEFT_WITHIN_S)
         await self._stop_until_standing(stops)
@@ -330,7 +330,7 @@ class PozsolPositioner:
     async def _stop_until_standing(self, stops: int, *, give_way: bool = True) -> None:
         """Send stop again and again until both axes stand and aim at where they stand."""
         begin_s = self._now()
-        self._watch.break_off_run()
+        self._watch.abort_reference_run()
         standstill = Standstill(begin_s, self._jitter)
         # A person's stop may overwrite, in the unit, what was sent an instant ago; a stop of our own must not.
         again_s = self._sent_s + wire.COMMAND_SPACING_S if give_way else begin_s
@@ -350,7 +350,7 @@ class PozsolPositioner:
             standstill.update(
                 (seen.position_a, seen.position_b), (seen.destination_a, seen.destination_b), seen.time_monotonic_s
             )
-        self._watch.stand()
+        self._watch.note_standstill()
 
     async def _send(self, field: Field, value: float | str, stops: int) -> float:
         """Send when the last command is long enough ago; return the time from which telemetry may show its effect."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from drivers.interfaces import AxisName
 
 _BOTH: frozenset[AxisName] = frozenset(("a", "b"))
-SHOWS = 0.5
+DESTINATION_TOLERANCE = 0.5
 """A destination that shows within this of the one that was sent is that one."""
 
 
@@ -54,7 +54,7 @@ class Reference:
         known = self._doubts.setdefault(kind, _Doubt(text, set(), needs_travel, stands))
         known.axes |= _BOTH if axis is None else {axis}
 
-    def may_stand_at(self, axis: AxisName) -> float | None:
+    def possible_position(self, axis: AxisName) -> float | None:
         """Return where an axis may stand although its count says that it is on its end switch; None without doubt."""
         places = [doubt.stands for doubt in self._doubts.values() if axis in doubt.axes and doubt.stands is not None]
         return max(places, default=None)
@@ -73,7 +73,7 @@ class Reference:
             self._doubts.pop(kind, None)
 
 
-class LastKnown:
+class LastKnownPositions:
     """Where each axis stands if it has not moved while its count was lost, in the unit's position units.
 
     A unit that forgets its count begins again at some number, and a reference run may then end on a switch that is
@@ -90,15 +90,15 @@ class LastKnown:
         # What has to be added if the end switch that set the count has lied.
         self._offset_if_switch_lied: dict[AxisName, float] = {}
 
-    def tell(self, axis: AxisName, destination: float) -> None:
+    def note_target(self, axis: AxisName, destination: float) -> None:
         """Take note of a target that is about to be sent."""
         self._told_destinations[axis] = destination
 
-    def forget_told(self) -> None:
+    def forget_targets(self) -> None:
         """Take note that no axis is on its way any more."""
         self._told_destinations.clear()
 
-    def strayed(self, axis: AxisName, position: float, slip: float) -> str:
+    def stray_text(self, axis: AxisName, position: float, slip: float) -> str:
         """Return in words that an axis is where its last known move cannot have led it; empty if it is not."""
         if axis not in self._seen_positions:
             return ""
@@ -118,20 +118,20 @@ class LastKnown:
     def note(self, axis: AxisName, position: float, destination: float, *, trusted: bool, set_anew: bool) -> None:
         """Take note of a look: whether its count is to be trusted, and whether it was set anew since the one before."""
         if trusted:
-            self.referenced(axis)
+            self.note_referenced(axis)
         elif set_anew:
             for lost in (self._count_offset, self._offset_if_switch_lied):
                 if axis in lost:
                     lost[axis] += self._seen_positions[axis] - position
         self._seen_positions[axis], self._shown_destinations[axis] = position, destination
-        if abs(destination - self._told_destinations.get(axis, destination)) <= SHOWS:
+        if abs(destination - self._told_destinations.get(axis, destination)) <= DESTINATION_TOLERANCE:
             self._told_destinations.pop(axis, None)
 
     def of(self, axis: AxisName, position: float) -> float | None:
         """Return where an axis stands whose count is `position`; None where that is unknown."""
         return position + self._count_offset[axis] if axis in self._count_offset else None
 
-    def at_worst(self, axis: AxisName) -> float | None:
+    def worst_case_position(self, axis: AxisName) -> float | None:
         """Return where an axis stands by its newest count, or would if its end switch has lied; None where unknown."""
         lost = self._offset_if_switch_lied.get(axis, self._count_offset.get(axis))
         return None if lost is None or axis not in self._seen_positions else self._seen_positions[axis] + lost
@@ -141,15 +141,15 @@ class LastKnown:
         self._seen_positions[axis] = self._shown_destinations[axis] = place
         self._count_offset[axis] = 0.0
 
-    def referenced(self, axis: AxisName) -> None:
+    def note_referenced(self, axis: AxisName) -> None:
         """Take note that the count was set on the end switch: it is true from there on."""
         self._count_offset[axis] = 0.0
         self._offset_if_switch_lied.pop(axis, None)
 
-    def contradicted(self, axis: AxisName, stands: float, position: float) -> None:
+    def note_contradiction(self, axis: AxisName, stands: float, position: float) -> None:
         """Take note that an end switch set the count, and that the axis stands at `stands` if the switch has lied."""
         self._offset_if_switch_lied[axis] = stands - position
 
-    def stuck(self, axis: AxisName, stood: float, position: float) -> None:
+    def note_stuck_switch(self, axis: AxisName, stood: float, position: float) -> None:
         """Take note that the count was set where the axis stood, which was not on its end switch."""
         self._count_offset[axis] = stood - position

@@ -16,7 +16,7 @@ def why_not_standing(seen: Telemetry, within_s: float, *, still: bool) -> str:
     return f"keeps moving after {within_s:g} s of stops, at A {seen.a_deg:z.1f}, B {seen.b_deg:z.1f} deg"
 
 
-def misfit(seen: Telemetry, axes: Mapping[AxisName, AxisSetup]) -> str | None:
+def geometry_mismatch(seen: Telemetry, axes: Mapping[AxisName, AxisSetup]) -> str | None:
     """Return at which axis angle and position do not go together, or None."""
     shown = {"a": (seen.a_deg, seen.position_a), "b": (seen.b_deg, seen.position_b)}
     for axis, setup in axes.items():

@@ -26,20 +26,20 @@ class Standstill:
 
     Attributes
     ----------
-    still, aimless
+    still, is_at_destination
         Whether both axes have not moved for a while, and whether their destinations are where they stand.
     """
 
     begin_s: float
     jitter: tuple[float, float]
     still: bool = False
-    aimless: bool = False
+    is_at_destination: bool = False
     _anchors: list[_Anchor] = field(default_factory=list, repr=False)
 
     @property
     def reached(self) -> bool:
         """Whether the axes stand and will go on standing."""
-        return self.still and self.aimless
+        return self.still and self.is_at_destination
 
     def update(self, positions: tuple[float, float], destinations: tuple[float, float], time_s: float) -> None:
         """Take in one look at positions and destinations of A and B, received at `time_s` or later."""
@@ -51,7 +51,7 @@ class Standstill:
             if not abs(position - anchor.position) <= jitter:
                 anchor.position, anchor.since_s = position, time_s
         self.still = all(time_s - anchor.since_s >= STILL_FOR_S for anchor in self._anchors)
-        self.aimless = all(
+        self.is_at_destination = all(
             abs(destination - position) <= _AIMLESS_WITHIN
             for destination, position in zip(destinations, positions, strict=True)
         )

@@ -29,10 +29,10 @@ class Port(Protocol):
     def write(self, data: bytes) -> None:
         """Send bytes as one packet."""
 
-    def echoes(self) -> bool:
+    def has_echo(self) -> bool:
         """Tell whether what comes is sent back."""
 
-    def has_lines(self) -> bool:
+    def has_modem_lines(self) -> bool:
         """Tell whether it has modem lines that are as they were asked for."""
 
     def close(self) -> None:
@@ -98,7 +98,7 @@ class TelemetryReader:
         self._thread = threading.Thread(target=self._run, name="heliocube-positioner-reader", daemon=True)
         self._thread.start()
 
-    def attend(self) -> None:
+    def read_promptly(self) -> None:
         """Read at once what has come, and for a second each screen as it comes: a command is about to be sent."""
         self._attends = True
         self._wake_reader()
@@ -139,18 +139,18 @@ class TelemetryReader:
                 stream = TokenStream()
                 self.table.forget()
                 data = data.rpartition(self._banner)[2]
-            tokens = stream.cut(data)
+            tokens = stream.feed_tokens(data)
             if tokens and now >= believe_s:
                 self.heard = True
                 self.table.take(tokens, now, waited_s)
             if now >= look_s:
                 look_s = now + _LOOK_AT_ECHO_EVERY_S
-                if self.port.echoes():
+                if self.port.has_echo():
                     raise LinkLostError("positioner", "another program has switched the port's echo on")
             waited_s = 0.0 if len(data) >= _BACKLOG_BYTES else self._gather(now)
 
     def _gather(self, now_s: float) -> float:
-        """Let screens come together, for less time if `attend` is called; return the longest wait [s]."""
+        """Let screens come together, for less time if `read_promptly` is called; return the longest wait [s]."""
         if self._attends:
             self._attends, self._attended_s = False, now_s
             self._bell.acquire(blocking=False)

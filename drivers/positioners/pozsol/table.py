@@ -53,7 +53,7 @@ class FieldTable:
     ----------
     jumped_s
         When an angle has last changed by more than an axis can turn, or None: the unit counts from elsewhere then.
-    unseen_s
+    moved_unseen_s
         When an angle has last changed by that much after a silence in which an axis can have turned so far, or None.
     """
 
@@ -61,7 +61,7 @@ class FieldTable:
         self._jumps = jumps
         self._taken_s = self._paused_s = self._caught_up_s = -math.inf
         self.jumped_s: float | None = None
-        self.unseen_s: float | None = None
+        self.moved_unseen_s: float | None = None
         self.forget()
 
     def get(self, field: int) -> Value | None:
@@ -188,7 +188,7 @@ class FieldTable:
         if passed_s > _JUMP_WITHIN_S or change <= most + _FASTEST_DEG_PER_S * passed_s:
             self._suspected_jumps.pop(code, None)
             if change > most and code in _ANGLES:
-                self.unseen_s = now_s
+                self.moved_unseen_s = now_s
             return True
         suspect = self._suspected_jumps.get(code)
         self._suspected_jumps[code] = number

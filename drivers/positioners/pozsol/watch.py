@@ -6,18 +6,25 @@ from functools import lru_cache
 
 from drivers.errors import LinkLostError, ProtocolError
 from drivers.interfaces import AxisName, Telemetry
-from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.end_switches import AxisBBitDetector, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.link import LinkState
-from drivers.positioners.pozsol.reference import LastKnown, Reference
+from drivers.positioners.pozsol.reference import LastKnownPositions, Reference
 from drivers.positioners.pozsol.table import Value
 from drivers.positioners.pozsol.wire import OWN_MOVES, Field, StatusWord, own_moves, parse_status
 
 _DEVICE = "positioner"
 AXES: tuple[AxisName, AxisName] = ("a", "b")
-FAST = (Field.A_ANGLE, Field.A_POSITION, Field.A_DESTINATION, Field.B_ANGLE, Field.B_POSITION, Field.B_DESTINATION)
-SLOW = (Field.SUPPLY, Field.STATUS, Field.MODE)
+FAST_FIELDS = (
+    Field.A_ANGLE,
+    Field.A_POSITION,
+    Field.A_DESTINATION,
+    Field.B_ANGLE,
+    Field.B_POSITION,
+    Field.B_DESTINATION,
+)
+SLOW_FIELDS = (Field.SUPPLY, Field.STATUS, Field.MODE)
 _EXTRA = (Field.A_CURRENT, Field.B_CURRENT, Field.A_REMAIN, Field.B_REMAIN)
 _SLOW_STALE_S = 8.0
 _JUMP_SHOWS_S = 1.0
@@ -55,9 +62,9 @@ class PositionerWatch:
         self._now = now
         self._setups = setups
         self._stale_s = stale_s
-        self._layout = BLayout(b_out_bit)
+        self._layout = AxisBBitDetector(b_out_bit)
         self.reference = Reference()
-        self._last_known = LastKnown()
+        self._last_known = LastKnownPositions()
         self._set_anew = False
         self.run: HomingRun | None = None
         self._run_ended_s = -math.inf
@@ -96,7 +103,7 @@ class PositionerWatch:
             telemetry = self._telemetry(state)
         except (KeyError, ValueError) as error:
             raise ProtocolError(_DEVICE, f"sent telemetry that cannot be read: {error}") from error
-        at_rest = not any(check.suspects for check in self._checks)
+        at_rest = not any(check.is_pending for check in self._checks)
         self._last = _LookAtRest(state, telemetry) if state.as_of_s > -math.inf and at_rest else None
         return telemetry
 
@@ -107,26 +114,26 @@ class PositionerWatch:
             return None
         return state.as_of_s if last.repeats(state) and state.restarted_s == self._restarted_s else None
 
-    def tell(self, axis: AxisName, destination: float) -> None:
+    def note_target(self, axis: AxisName, destination: float) -> None:
         """Take note of a target that is about to be sent: should the link be lost, the axis may have gone there."""
-        self._last_known.tell(axis, destination)
+        self._last_known.note_target(axis, destination)
 
-    def stand(self) -> None:
+    def note_standstill(self) -> None:
         """Take note that both axes stand after a stop, and forget what they were told."""
-        self._last_known.forget_told()
+        self._last_known.forget_targets()
 
-    def begin_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
+    def begin_reference_run(self, axis: AxisName, before: Telemetry, sent_s: float) -> HomingRun:
         """Watch a reference run from now on; until it has ended well the count is in doubt."""
         start = position_of(axis, before)
         stood, trusted = self._last_known.of(axis, start), not self.reference.doubts(axis)
         if stood is None and f"{axis} before" in self.reference.kinds:
             # A process that died on a reference run has left no place, but the unit may have kept its count.
             stood = start
-        self._last_known.tell(axis, 0.0)
-        self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, stood=stood)
+        self._last_known.note_target(axis, 0.0)
+        self.run = HomingRun(axis, self._setups[axis], start, sent_s, trusted=trusted, last_trusted_position=stood)
         return self.run
 
-    def break_off_run(self) -> None:
+    def abort_reference_run(self) -> None:
         """Note that the reference run, if one is on, was ended before its end."""
         run, self.run = self.run, None
         if run is not None and run.begun:
@@ -136,7 +143,7 @@ class PositionerWatch:
 
     def standing(self) -> tuple[float | None, float | None]:
         """Return where A and B stand by all that is known, in the unit's position units; None where unknown."""
-        return self._last_known.at_worst("a"), self._last_known.at_worst("b")
+        return self._last_known.worst_case_position("a"), self._last_known.worst_case_position("b")
 
     def recall(self, places: dict[AxisName, float | None], doubt: str) -> None:
         """Take over where the axes stood before this process began; the count may have been set anew since."""
@@ -154,10 +161,10 @@ class PositionerWatch:
 
     def _telemetry(self, state: LinkState) -> Telemetry:
         known = state.values
-        fast = [known[field] for field in FAST]
+        fast = [known[field] for field in FAST_FIELDS]
         time_s = max(min([value.time_s for value in fast]), state.as_of_s)
         status_s = max(known[Field.STATUS].time_s, state.as_of_s)
-        self._require_fresh(time_s, max(min([known[field].time_s for field in SLOW]), state.as_of_s))
+        self._require_fresh(time_s, max(min([known[field].time_s for field in SLOW_FIELDS]), state.as_of_s))
         text = known[Field.STATUS].text.decode("latin-1")
         position_b = known[Field.B_POSITION].number
         self._layout.update(position_b, time_s, parse_status(text).word, status_s)
@@ -217,17 +224,19 @@ class PositionerWatch:
             return False
         self.reference.proven(run.axis, travelled=run.travelled)
         stuck = bool(run.mismatch) and not run.travelled
-        if stuck and run.stood is not None:
-            self._last_known.stuck(run.axis, run.stood, seen[run.axis].position)
+        if stuck and run.last_trusted_position is not None:
+            self._last_known.note_stuck_switch(run.axis, run.last_trusted_position, seen[run.axis].position)
         else:
-            self._last_known.referenced(run.axis)
-            if run.stands is not None:
-                self._last_known.contradicted(run.axis, run.stands, seen[run.axis].position)
+            self._last_known.note_referenced(run.axis)
+            if run.position_if_switch_wrong is not None:
+                self._last_known.note_contradiction(run.axis, run.position_if_switch_wrong, seen[run.axis].position)
         if run.mismatch:
             # Without travel neither the count nor the switch can be shown to be right.
-            needs_travel = stuck or run.stands is not None
+            needs_travel = stuck or run.position_if_switch_wrong is not None
             kind = f"{run.axis} mismatch {run.sent_s}"
-            self.reference.note(kind, run.mismatch, run.axis, needs_travel=needs_travel, stands=run.stands)
+            self.reference.note(
+                kind, run.mismatch, run.axis, needs_travel=needs_travel, stands=run.position_if_switch_wrong
+            )
         return False
 
     def _note_doubts(self, state: LinkState, seen: dict[AxisName, AxisObservation], homing: bool) -> None:
@@ -241,8 +250,8 @@ class PositionerWatch:
             if not homing and state.jumped_s > self._run_ended_s + _JUMP_SHOWS_S:
                 self._set_anew = True
                 self.reference.note(f"jump {state.jumped_s}", "the positioner's count has jumped")
-        if state.unseen_s != self._unseen_s:
-            self._unseen_s = state.unseen_s
+        if state.moved_unseen_s != self._unseen_s:
+            self._unseen_s = state.moved_unseen_s
             # A person who holds a button drives an axis to where it was not told to go.
             self._was_out_of_sight = self._was_out_of_sight or not status.button_pressed
         for check in self._checks:
@@ -255,7 +264,7 @@ class PositionerWatch:
             trusted = not self.reference.doubts(axis)
             if self._was_out_of_sight and not status.autonomous:
                 # A restart may have gone unseen: the unit takes its mark back by itself after 15 minutes.
-                strayed = self._last_known.strayed(axis, position, self._setups[axis].units(_UNSEEN_DEG))
+                strayed = self._last_known.stray_text(axis, position, self._setups[axis].units(_UNSEEN_DEG))
                 if strayed:
                     self._note_strayed(seen[axis], axis, strayed)
                     trusted, set_anew = False, True
@@ -267,7 +276,7 @@ class PositionerWatch:
             # That doubt stands already, with the place of the axis if its end switch has lied.
             return
         # On a closed switch a reference run does not travel, and cannot tell whether count or switch is right.
-        stands = self._last_known.at_worst(axis) if f"{axis}_low" in look.status.end_switches else None
+        stands = self._last_known.worst_case_position(axis) if f"{axis}_low" in look.status.end_switches else None
         self.reference.note(f"{axis} strayed {look.time_s}", text, axis, stands=stands)
 
 
@@ -308,5 +317,5 @@ class _LookAtRest:
         return state.values is before.values and state.jumped_s == before.jumped_s
 
     def at(self, time_s: float) -> Telemetry:
-        self.shown = self.shown.again(time_s)
+        self.shown = self.shown.with_time(time_s)
         return self.shown

@@ -169,9 +169,9 @@ class TokenStream:
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
         """Take in any number of bytes and return the (field code, value) pairs that they complete."""
-        return [(token[0], token[1:]) for token in self.cut(data)]
+        return [(token[0], token[1:]) for token in self.feed_tokens(data)]
 
-    def cut(self, data: bytes) -> list[bytes]:
+    def feed_tokens(self, data: bytes) -> list[bytes]:
         """Take in any number of bytes and return the tokens that they complete: one byte of code, and the value."""
         tokens = data.split(b"$")
         last = tokens.pop()

@@ -12,7 +12,7 @@ from typing import NamedTuple
 TURN_DEG = 360.0
 FLAT_WITHIN_DEG = 0.5
 """So near to the zenith the azimuth means nothing, and the rotator keeps the one that it has."""
-BEYOND_DEG = 5.0
+OVERTRAVEL_DEG = 5.0
 """How far beyond its range a rotator may be seen, by its run-out and by the steps of its count."""
 
 
@@ -27,7 +27,7 @@ class UnreachableError(Exception):
     """The rotator's range does not contain a position; the text is a clause that says where it lies."""
 
 
-def pointing(a_deg: float, b_deg: float, equator_azimuth_deg: float) -> RotatorPosition:
+def position_from_angles(a_deg: float, b_deg: float, equator_azimuth_deg: float) -> RotatorPosition:
     """Return azimuth (0 to 360, of no meaning at the zenith) and elevation of the normal at the angles A and B [deg].
 
     `equator_azimuth_deg` is where the frame's first axis points: 180 south, 0 north.
@@ -73,7 +73,7 @@ class Mount:
         Of several turns that show the same direction it always takes the same one, so that cables are wound no further
         with time. At the zenith the azimuth of `here` is kept.
         """
-        wanted = pointing(a_deg, b_deg, self.equator_azimuth_deg)
+        wanted = position_from_angles(a_deg, b_deg, self.equator_azimuth_deg)
         if wanted.elevation_deg >= 90.0 - FLAT_WITHIN_DEG:
             elevation_deg = min(90.0, self.elevation_max_deg)
             held_deg = (self.azimuth_min_deg + self.azimuth_max_deg) / 2 if here is None else here.azimuth_deg
@@ -88,13 +88,13 @@ class Mount:
             raise UnreachableError(f"{where}, but the rotator turns {self}")
         return RotatorPosition(azimuth_deg, elevation_deg)
 
-    def counted(self, azimuth_deg: float, before_deg: float | None = None) -> float:
+    def unwrap_azimuth(self, azimuth_deg: float, before_deg: float | None = None) -> float:
         """Return a reported azimuth in the turn that the range counts in, for rotators that report another turn.
 
         `before_deg` is what was returned last: a rotator that rests a little beyond one end of its range has not gone
         to the other end.
         """
-        beyond_deg = 0.0 if before_deg is None else BEYOND_DEG
+        beyond_deg = 0.0 if before_deg is None else OVERTRAVEL_DEG
         low_deg, high_deg = self.azimuth_min_deg - beyond_deg, self.azimuth_max_deg + beyond_deg
         turns_deg = [azimuth_deg + turn_deg for turn_deg in _TURNS if low_deg <= azimuth_deg + turn_deg <= high_deg]
         if before_deg is None or not turns_deg:

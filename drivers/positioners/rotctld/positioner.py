@@ -26,7 +26,7 @@ from drivers.errors import (
 from drivers.interfaces import AxisName, PositionerIdentity, Telemetry
 from drivers.positioners.rotctld import protocol
 from drivers.positioners.rotctld.link import RotctldLine
-from drivers.positioners.rotctld.mount import BEYOND_DEG, Mount, RotatorPosition, UnreachableError, angles
+from drivers.positioners.rotctld.mount import OVERTRAVEL_DEG, Mount, RotatorPosition, UnreachableError, angles
 from drivers.positioners.rotctld.protocol import RotatorState, RotctldReply
 from drivers.settings import AngleRange
 
@@ -257,7 +257,7 @@ class RotctldPositioner:
             raise ProtocolError(
                 _DEVICE, f"reports azimuth {azimuth_deg:g}, elevation {elevation_deg:g} deg, which cannot be"
             )
-        self._azimuth_deg = self._known_mount().counted(azimuth_deg, self._azimuth_deg)
+        self._azimuth_deg = self._known_mount().unwrap_azimuth(azimuth_deg, self._azimuth_deg)
         return RotatorPosition(self._azimuth_deg, elevation_deg)
 
     async def _ask(self, name: str, *arguments: float) -> RotctldReply:
@@ -297,13 +297,13 @@ class RotctldPositioner:
 
 def _is_near(here: RotatorPosition, inside: RotatorPosition) -> bool:
     """Tell whether a position lies outside of the range by no more than a rotator's run-out."""
-    return here != inside and all(abs(one - other) <= BEYOND_DEG for one, other in zip(here, inside, strict=True))
+    return here != inside and all(abs(one - other) <= OVERTRAVEL_DEG for one, other in zip(here, inside, strict=True))
 
 
 def _state(reply: RotctldReply) -> RotatorState:
     if reply.error:
         raise ProtocolError(_DEVICE, f"rotctld answers dump_state with {protocol.error_text(reply.error)}")
     try:
-        return protocol.state_of(reply)
+        return protocol.parse_state(reply)
     except ValueError as error:
         raise ProtocolError(_DEVICE, f"rotctld's dump_state cannot be read: {error}") from None

@@ -98,7 +98,7 @@ def error_text(error: int) -> str:
     return f"{_ERRORS.get(error, 'an error of Hamlib')} (RPRT -{error})"
 
 
-def state_of(reply: RotctldReply) -> RotatorState:
+def parse_state(reply: RotctldReply) -> RotatorState:
     """Read the answer to `DUMP_STATE`; `ValueError` where something is missing or no number."""
     return RotatorState(
         model=int(reply.number("Rotor Model")),

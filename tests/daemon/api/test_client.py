@@ -8,14 +8,14 @@ import sys
 import pytest
 
 from daemon.api import client
-from daemon.api.client import Client, CommandRefusedError, NoServiceError, find, find_unarmed
+from daemon.api.client import Client, CommandRefusedError, NoServiceError, find_service, find_without_token
 from daemon.base.addresses import parse_address
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
 from tests.support import PATIENCE_S
 from tests.support.api import TOKEN
-from tests.support.bad_network import without_namespaces
-from tests.support.phases import tracking
+from tests.support.bad_network import why_no_namespaces
+from tests.support.phases import wait_for_tracking
 
 # One address has only two ports here; two connections of another program take both.
 ALL_TAKEN = """
@@ -46,7 +46,7 @@ print(Client(parse_address("127.0.0.1:5000"), "t" * 43).command("stop").text)
 
 
 def test_a_stop_gets_through_when_all_local_ports_of_its_address_are_used_up():
-    why = without_namespaces()
+    why = why_no_namespaces()
     if why:
         pytest.skip(why)
     command = ["unshare", "--net", sys.executable, "-c", ALL_TAKEN]
@@ -77,21 +77,21 @@ def test_a_copied_configuration_reaches_no_other_tracker_and_its_stop_names_the_
     roof, copy, link = (tmp_path / name for name in ("roof.toml", "copy.toml", "link.toml"))
 
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         listen = call.server.url.removeprefix("http://")
         for file in (roof, copy):
             file.write_text(f'[api]\nlisten = "{listen}"\n[mqtt]\nname = "tracker"\n', encoding="utf-8")
         link.symlink_to(roof)
 
         elsewhere = rf"api.listen of {copy} leads to the service of {roof} \(tracker tracker\)"
-        wrong = find(copy, None, None, {"HELIOCUBE_TOKEN": TOKEN})
+        wrong = find_service(copy, None, None, {"HELIOCUBE_TOKEN": TOKEN})
         with pytest.raises(NoServiceError, match=f"^nothing is done: {elsewhere}; give"):
             await asyncio.to_thread(wrong.command, "hold")
         assert rig.control.mode is Mode.TRACKING
         for look in (wrong.state, wrong.health):
             with pytest.raises(NoServiceError, match=f"^{elsewhere}; give"):
                 await asyncio.to_thread(look)
-        for right in (find_unarmed(roof, None), find_unarmed(link, None), find_unarmed(copy, listen)):
+        for right in (find_without_token(roof, None), find_without_token(link, None), find_without_token(copy, listen)):
             assert (await asyncio.to_thread(right.state))["mode"]["name"] == "tracking"
         # The client's thread lets no virtual time pass, which telemetry needs.
         reply = await call.post(f"stop?configuration={copy}")
@@ -114,9 +114,9 @@ def test_a_wrong_token_in_a_copied_configuration_does_not_hide_whose_service_ans
         strangers = {"HELIOCUBE_TOKEN": "s" * 43}
         elsewhere = rf"^{undone}: api.listen of {copy} leads to the service of {roof} \(tracker tracker\); give"
         with pytest.raises(NoServiceError, match=elsewhere):
-            await asyncio.to_thread(find(copy, None, None, strangers).command, name)
+            await asyncio.to_thread(find_service(copy, None, None, strangers).command, name)
         with pytest.raises(CommandRefusedError, match="the token is not the service's"):
-            await asyncio.to_thread(find(roof, None, None, strangers).command, name)
+            await asyncio.to_thread(find_service(roof, None, None, strangers).command, name)
 
     serve(scenario, file=roof)
 
@@ -124,14 +124,14 @@ def test_a_wrong_token_in_a_copied_configuration_does_not_hide_whose_service_ans
 def test_a_file_with_only_an_api_address_may_lead_to_any_service(tmp_path):
     file = tmp_path / "way.toml"
     file.write_text('[api]\nlisten = "127.0.0.1:20572"\n', encoding="utf-8")
-    assert find_unarmed(file, None).configuration == ()
+    assert find_without_token(file, None).configuration == ()
 
 
 def test_refusal_for_a_given_file_without_a_token_file_does_not_advise_the_config_option(tmp_path):
     file = tmp_path / "heliocube.toml"
     file.write_text('[api]\nlisten = "127.0.0.1:1"\n[bridge]\n')
     with pytest.raises(UserError) as refused:
-        find(file, None, None, {}).command("stop")
+        find_service(file, None, None, {}).command("stop")
     told = str(refused.value)
     assert told.startswith(f"'stop' needs the service's token, and {file} has no api.token_file: give the token that ")
     assert "--config" not in told
@@ -141,4 +141,4 @@ def test_a_token_file_in_an_unknown_users_home_is_refused_in_one_sentence(tmp_pa
     file = tmp_path / "heliocube.toml"
     file.write_text('[api]\ntoken_file = "~nobody-of-that-name/api.token"\n')
     with pytest.raises(UserError, match=f"^api.token_file in {file}: .*home"):
-        find(file, None, None, {})
+        find_service(file, None, None, {})

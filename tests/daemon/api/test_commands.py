@@ -6,18 +6,18 @@ import socket
 
 import pytest
 
-from daemon.base.addresses import SEND_NO_MORE_ONCE_CLOSED
+from daemon.base.addresses import DROP_UNSENT_ON_CLOSE
 from daemon.base.records import Mode
 from tests.support.api import BEARER, TOKEN
 from tests.support.motion import commands_sent
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.phases import wait_for_move, wait_for_rest, wait_for_tracking
 
 OTHER_TOKEN = "the token is not the service's: restart the service after a change of api.token_file"
 
 
 def test_a_stop_over_http_reaches_the_positioner_before_anything_else(serve, monkeypatch):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
         reply = await call.post("stop", b'{"why": "a hand"}')
         assert sent[0][1].startswith(b"$9s")
@@ -32,8 +32,8 @@ def test_a_stop_over_http_reaches_the_positioner_before_anything_else(serve, mon
 
 def test_goto_moves_the_tracker_and_outside_the_limits_is_refused_naming_the_limits(serve):
     async def scenario(rig, call):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         reply = await call.post("goto", b'{"a_deg": -20, "b_deg": 70.5}')
         assert (reply.status, reply.json["text"][:28]) == (200, "moving to A -20.0, B 70.5 de")
         for body in (b'{"a_deg": 60, "b_deg": 70}', b'{"a_deg": NaN, "b_deg": 70}', b'{"a_deg": 0, "b_deg": 1e999}'):
@@ -127,7 +127,7 @@ def test_a_stop_of_one_tracker_lets_the_others_go_on(serve, query, body):
 )
 def test_every_command_without_the_right_token_is_refused_and_has_no_effect(serve, headers, sentence):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         for command in ("stow", "hold", "auto", "stop", "goto", "home", "clear"):
             reply = await call.post(command, b'{"a_deg": 0, "b_deg": 60}' if command == "goto" else b"", headers)
             assert (reply.status, reply.json) == (401, {"error": sentence})
@@ -153,7 +153,7 @@ def test_every_command_without_the_right_token_is_refused_and_has_no_effect(serv
 )
 def test_a_malformed_or_too_long_body_is_refused_in_one_sentence_and_has_no_effect(serve, body, status, sentence):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         reply = await call.post("stow", body)
         assert (reply.status, reply.json) == (status, {"error": sentence})
         assert rig.mode is Mode.TRACKING
@@ -170,12 +170,12 @@ def test_after_a_stall_of_the_service_a_cut_off_hold_is_dropped_and_a_cut_off_st
     serve, name, cut_off, obeyed
 ):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         host, port = call.server.url.removeprefix("http://").split(":")
         # Meanwhile the service does nothing: this call blocks its thread.
         with socket.create_connection((host, int(port))) as peer:
             if cut_off:
-                peer.setsockopt(*SEND_NO_MORE_ONCE_CLOSED)
+                peer.setsockopt(*DROP_UNSENT_ON_CLOSE)
             head = f"POST /api/{name} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {TOKEN}\r\n"
             peer.sendall(f"{head}Content-Length: 0\r\n\r\n".encode())
         await asyncio.sleep(5)
@@ -206,7 +206,7 @@ def test_an_endless_body_is_refused_without_being_read_to_the_end(serve):
 
 def test_auto_is_refused_when_it_would_end_a_wish_that_its_sender_was_not_shown(serve):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await call.post("stow", b'{"by": "ana"}')
         shown = {name: wish["latest"] for name, wish in (await call.get("/api/state")).json["wishes"].items() if wish}
         auto = json.dumps({"by": "ana", "shown": shown}).encode()

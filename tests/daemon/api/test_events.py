@@ -6,12 +6,12 @@ import re
 
 from daemon.base.records import Event
 from tests.support.api import Caller, server_of
-from tests.support.phases import tracking
+from tests.support.phases import wait_for_tracking
 
 
 def test_event_stream_sends_the_state_scans_poses_and_events(serve):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         reader, writer = await call.open("GET", "/api/events")
         await asyncio.sleep(20)
         rig.service.bus.publish(Event(rig.clock.utc(), rig.clock.monotonic(), "test", "hello"))

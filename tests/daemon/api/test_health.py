@@ -7,17 +7,17 @@ from pathlib import Path
 import pytest
 
 from daemon.base.records import Mode, Move
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Role
 from daemon.service.status import LinkStatus
 from daemon.store.store import StoreStatus
 from tests.support.api import Caller, server_of
-from tests.support.phases import tracking
+from tests.support.phases import wait_for_tracking
 
 
 def test_health_names_a_disconnected_positioner_exactly_once(serve):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.cables.positioner.link_up = False
         await rig.until(lambda: rig.motion.outage.is_down, 60, "a positioner that is down")
         (down,) = (await call.get("/healthz")).json["down"]
@@ -29,7 +29,7 @@ def test_health_names_a_disconnected_positioner_exactly_once(serve):
 
 def test_health_is_bad_when_the_control_loop_has_not_run_for_half_a_minute(serve):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.control.last_tick_s -= 31
         reply = await call.get("/healthz")
         assert (reply.status, reply.json["ok"]) == (503, False)
@@ -84,7 +84,7 @@ def test_a_tracker_without_its_bridge_address_follows_the_sun_and_all_pages_repo
         assert (name, text) == ("bridge-down", f"the bridge hears nothing: {state['bridge']['down_why']}")
         assert (await call.get("/healthz")).json["down"] == [f"bridge: {state['bridge']['down_why']}"]
         assert b"\nheliocube_bridge_up 0.0\n" in (await call.get("/metrics")).body
-        await rig.until(lambda: rig.of(Move), 600, "a move by the clock")
+        await rig.until(lambda: rig.records_of(Move), 600, "a move by the clock")
 
     bridge = {"listen": address, "key_file": "the-rig-has-its-own.key"}
     serve(scenario, role=Role.TRACKER, bridge=bridge, safety={"fallback_after_s": 90})
@@ -100,7 +100,7 @@ def test_a_cube_in_the_same_process_is_heard_without_the_bridge_address_if_accep
     async def scenario(rig):
         await rig.until_mode(mode, 120)
         service = rig.service
-        assert "not an address of this machine now" in service.receiver.deaf_why
+        assert "not an address of this machine now" in service.receiver.down_why
         assert (service.receiver.statistics.accepted > 0) is (mode is Mode.TRACKING)
 
     bridge = {"listen": "198.51.100.1:20571", "accept_from": accept_from, "key_file": "the-rig-has-its-own.key"}
@@ -109,10 +109,10 @@ def test_a_cube_in_the_same_process_is_heard_without_the_bridge_address_if_accep
 
 def test_a_silent_cube_in_another_process_is_reported_as_trouble(run_rig):
     async def scenario(rig):
-        recent = Recent()
+        recent = RecentRecords()
         rig.bus.subscribe(recent.note)
-        await tracking(rig)
-        seen = replace(rig.see(recent), has_cube=False)
+        await wait_for_tracking(rig)
+        seen = replace(rig.take_snapshot(recent), has_cube=False)
         assert seen.cube_trouble is None
         later = replace(seen, time_monotonic_s=seen.scan.time_monotonic_s + 60.5)
         assert later.cube_trouble == "no scan for 60 s"

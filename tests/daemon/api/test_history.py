@@ -14,7 +14,7 @@ from daemon.store.store import Store
 from tests.daemon.store.test_history import ORIGIN
 from tests.daemon.store.test_tables import ALL, T0
 from tests.support.api import BEARER, Caller, server_of
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 
 SPAN = "from=2022-10-14T05:00Z&to=2022-10-15T05:00Z"
 
@@ -98,7 +98,7 @@ def test_a_right_and_a_wrong_token_can_be_tried_without_any_effect_on_a_move_und
             told = [record for record in rig.records if not isinstance(record, Pose | Scan)]
             return rig.mode, rig.control.why, rig.motion.target, told
 
-        await under_way(rig)
+        await wait_for_move(rig)
         before = seen()
         assert (await call.post("authorised")).json == {"ok": True}
         wrong = await call.post("authorised", headers=BEARER | {"Authorization": "Bearer " + "x" * 43})

@@ -12,12 +12,12 @@ import pytest
 from daemon.api.gate import Token
 from daemon.api.port.connections import Connections
 from daemon.api.refusals import ApiRefusals
-from daemon.api.turns import CrowdedError, ReadTurns
+from daemon.api.turns import CrowdedError, ReadThrottle
 from daemon.base.records import Event, Mode
 from daemon.base.timeloop import VirtualTimeLoop
 from tests.support.api import BEARER
 from tests.support.motion import commands_sent
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 
 HALF_A_HEAD = b"GET /api/state HTTP/1.1\r\nHost: loc"
 HALF_A_BODY = b"POST /api/stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n{"
@@ -50,7 +50,7 @@ async def metric(call, name):
 @pytest.mark.parametrize("contents", [(b"", HALF_A_HEAD, HALF_A_BODY), (HALF_A_BODY,)], ids=["all kinds", "bodies"])
 def test_idle_and_half_sent_connections_block_neither_a_stop_nor_a_reader(serve, monkeypatch, caplog, contents):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         reader, writer = await connect(call, b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
         await reader.readuntil(b"event: state")
         reading = asyncio.create_task(closed(reader))
@@ -77,7 +77,7 @@ def test_idle_and_half_sent_connections_block_neither_a_stop_nor_a_reader(serve,
 )
 def test_a_stop_is_obeyed_whatever_its_body_is(serve, body):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         reply = await call.post("stop", body)
         assert (reply.status, reply.json["done"]) == (200, True)
         assert rig.control.wishes.stop.why == "an operator asked"
@@ -87,7 +87,7 @@ def test_a_stop_is_obeyed_whatever_its_body_is(serve, body):
 
 def test_a_stop_with_an_incomplete_body_is_obeyed_only_with_the_token(serve):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         for headers in ({}, BEARER):
             assert rig.control.wishes.stop is None
             _, writer = await call.open("POST", "/api/stop", b"{", headers, length=100)
@@ -229,7 +229,7 @@ def test_an_http_1_0_request_without_a_host_is_answered_and_its_commands_need_th
 
 def test_state_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatch):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         readers = [asyncio.create_task(call.get("/api/state")) for _ in range(300)]
         await asyncio.wait(readers, return_when=asyncio.FIRST_COMPLETED)
         sent, asked_s = commands_sent(rig, monkeypatch), rig.clock.monotonic()
@@ -246,7 +246,7 @@ def test_state_readers_wait_for_their_turn_and_a_stop_does_not(serve, monkeypatc
 def test_read_requests_take_about_a_quarter_of_the_time_whatever_a_page_costs():
     async def scenario():
         loop = asyncio.get_running_loop()
-        turns, spent_s = ReadTurns(loop.time, 1.0), 0.0
+        turns, spent_s = ReadThrottle(loop.time, 1.0), 0.0
 
         async def reader():
             nonlocal spent_s
@@ -271,7 +271,7 @@ def test_read_requests_take_about_a_quarter_of_the_time_whatever_a_page_costs():
 
 def test_readers_waiting_for_a_turn_are_sent_away_when_the_service_ends():
     async def scenario():
-        turns = ReadTurns(asyncio.get_running_loop().time, 1.0)
+        turns = ReadThrottle(asyncio.get_running_loop().time, 1.0)
         turns.charge(1.0)
         for _ in range(10):
             turns.charge(1.0)

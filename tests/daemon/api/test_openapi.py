@@ -7,11 +7,11 @@ from starlette.routing import Route
 
 from daemon.api.models import AuthorisedPage, CommandPage, ErrorPage, HealthPage, ScansPage, StatePage, SunPage
 from daemon.api.openapi import description
-from daemon.service.command_bodies import CommandBody, body_of
-from daemon.service.operator_commands import NAMES
+from daemon.service.command_bodies import CommandBody, body_model
+from daemon.service.operator_commands import COMMAND_NAMES
 from tests.support import ROOT
 from tests.support.api import server_of
-from tests.support.phases import tracking
+from tests.support.phases import wait_for_tracking
 
 KEPT = ROOT / "docs" / "openapi.json"
 
@@ -40,7 +40,7 @@ def test_every_route_is_described_with_its_method(run_rig):
 def test_http_answers_match_their_models(serve):
     async def scenario(rig, call):
         StatePage.model_validate((await call.get("/api/state")).json)
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await asyncio.sleep(10)
         state = StatePage.model_validate((await call.get("/api/state")).json)
         assert state.mode.name == "tracking"
@@ -72,8 +72,8 @@ def test_the_state_of_several_trackers_matches_its_model(serve):
 
 def test_command_bodies_are_described_by_the_models_that_check_them():
     schemas = description()["components"]["schemas"]
-    for name in NAMES:
-        model = body_of(name)
+    for name in COMMAND_NAMES:
+        model = body_model(name)
         found = schemas[model.__name__]
         assert set(found["properties"]) == set(model.model_fields)
         assert found["additionalProperties"] is False

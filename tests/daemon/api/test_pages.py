@@ -8,8 +8,8 @@ import time
 from dataclasses import replace
 
 from daemon.api import pages
-from daemon.api.history import instant
-from daemon.api.pages import Feed, KeptPage, ScanLog
+from daemon.api.history import parse_query_time
+from daemon.api.pages import CachedPage, Feed, ScanLog
 from daemon.base.records import Event, FaceReading, Quality, Scan
 
 
@@ -41,7 +41,7 @@ def test_a_page_is_made_at_most_once_per_tenth_of_a_second_and_again_after_a_cha
         return str(number).encode()
 
     async def scenario():
-        page = KeptPage(take, make, lambda: now_s[0], speed=60.0)
+        page = CachedPage(take, make, lambda: now_s[0], speed=60.0)
         assert set(await asyncio.gather(*(page.get() for _ in range(40)))) == {b"1"}
         now_s[0] += 5.9
         assert await page.get() == b"1"
@@ -62,7 +62,7 @@ def test_a_slow_page_is_made_once_for_all_waiting_readers_even_if_one_of_them_le
         return b"page"
 
     async def scenario():
-        page = KeptPage(lambda: 1, make, lambda: now_s[0], speed=1.0)
+        page = CachedPage(lambda: 1, make, lambda: now_s[0], speed=1.0)
         first, second = asyncio.ensure_future(page.get()), asyncio.ensure_future(page.get())
         await asyncio.sleep(0)
         now_s[0] += 10.0
@@ -102,7 +102,7 @@ def test_asking_since_the_last_scan_skips_and_repeats_none_even_after_the_clock_
         log.note(replace(scan(number), time_utc_s=end_utc_s))
         page = json.loads(log.page(since))
         found += [item["sequence"] for item in page["scans"]]
-        since = instant("since", page["scans"][-1]["time"])
+        since = parse_query_time("since", page["scans"][-1]["time"])
         assert json.loads(log.page(since)) == {"scans": [], "more": False}
     assert found == list(range(6))
     assert [item["sequence"] for item in json.loads(log.page(begun + 7.0))["scans"]] == [2]

@@ -11,7 +11,7 @@ from daemon.base.records import Mode
 from tests.daemon.commands.test_operate import COUNTED, MEASURED
 from tests.support import ROOT
 from tests.support.api import serve
-from tests.support.phases import tracking
+from tests.support.phases import wait_for_tracking
 
 __all__ = ["serve"]
 
@@ -91,7 +91,7 @@ def test_grafana_dashboard_has_a_place_per_panel_every_mode_and_no_fixed_data_so
 @needs_promtool
 def test_promtool_accepts_the_metrics_of_a_service_with_an_alarm(serve):
     async def scenario(rig, call_http):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.tracker.alarms.set("move-failed", "stalled")
         rig.service.cube_alarms.set("clock", "in doubt")
         text = (await call_http.get("/metrics")).body.decode()

@@ -28,7 +28,7 @@ def test_an_api_port_in_use_by_another_program_raises_an_alarm_until_it_is_free(
         await asyncio.sleep(11)
         # The terminal shows the URL with the token, which no file may have.
         assert urls == [second.url] == [f"http://127.0.0.1:{port}"]
-        told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
+        told = [event.text for event in rig.records_of(Event) if event.subject == "alarm"]
         assert told == [f"raised api-down: {text}", f"cleared api-down: {text}"]
         serving.cancel()
         await asyncio.wait((serving,))

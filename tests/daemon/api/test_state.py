@@ -12,14 +12,14 @@ from daemon.base.records import Mode, MoveOutcome
 from daemon.service.state import state_json
 from daemon.tracker.stow import StowStatus
 from tests.support import DOCS
-from tests.support.motion import A_PACKET, B_PACKET, lose
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.motion import A_PACKET, B_PACKET, lose_packets
+from tests.support.phases import wait_for_move, wait_for_rest, wait_for_tracking
 
 
 def test_the_state_reports_mode_scan_pose_limits_and_bridge_with_age_and_quality(serve):
     async def scenario(rig, call):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         found = (await call.get("/api/state")).json
         assert found["simulated"] is True
         assert found["mode"] == {
@@ -61,10 +61,10 @@ def test_the_api_page_in_docs_names_every_key_of_the_state(serve):
 
 def test_an_interrupted_move_appears_in_the_news_after_the_stow_that_interrupted_it(serve):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.wind_m_s = 16.0
         await rig.until_mode(Mode.STOW, 6)
-        await at_rest(rig)
+        await wait_for_rest(rig)
         news = (await call.get("/api/state")).json["news"]
         assert news == sorted(news, key=itemgetter("time"))
         stow, move = ([part in item["text"] for item in news].index(True) for part in ("-> stow", "(interrupted)"))
@@ -84,7 +84,7 @@ def test_before_the_first_scan_the_scan_and_the_next_decision_are_null(serve):
 
 def test_scan_and_pose_are_marked_stale_while_their_devices_are_lost_and_recover(serve):
     async def scenario(rig, call):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.cables.voltmeter.link_up = rig.cables.positioner.link_up = False
         await asyncio.sleep(60)
         found = (await call.get("/api/state")).json
@@ -112,8 +112,8 @@ def test_scan_and_pose_are_marked_stale_while_their_devices_are_lost_and_recover
 
 def test_an_old_pose_is_marked_stale_even_while_the_link_is_up(serve):
     async def scenario(rig, call):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
         await asyncio.sleep(20)
         assert (await call.get("/api/state")).json["tracker"]["pose"]["stale"] is False
@@ -132,7 +132,7 @@ def test_motor_currents_are_shown_with_telemetry_and_no_values_of_a_lost_tracker
             return replace(await read(), a_motor_current_a=0.75, b_motor_current_a=float("nan"))
 
         rig.positioner.read_telemetry = with_currents
-        await tracking(rig)
+        await wait_for_tracking(rig)
         assert (await call.get("/api/state")).json["tracker"]["motor_current_a"] == {"a": 0.75, "b": None}
         metrics = (await call.get("/metrics")).body.decode()
         assert 'heliocube_motor_amperes{axis="a",tracker="tracker"} 0.75' in metrics
@@ -154,7 +154,7 @@ def test_motor_currents_are_shown_with_telemetry_and_no_values_of_a_lost_tracker
 def test_extra_details_of_a_positioner_are_shown_as_given_and_an_unknown_supply_is_left_out(serve):
     async def scenario(rig, call):
         read = rig.positioner.read_telemetry
-        await tracking(rig)
+        await wait_for_tracking(rig)
         tracker = (await call.get("/api/state")).json["tracker"]
         assert (tracker["details"], tracker["supply_v"]) == ({"mode": "tracker ok"} | tracker["details"], 24.0)
         assert "heliocube_supply_volts{" in (await call.get("/metrics")).body.decode()
@@ -200,15 +200,15 @@ def test_a_stow_that_failed_and_waits_for_a_retry_is_not_reported_as_at_the_stow
             state = (await call.get("/api/state")).json
             return state["mode"]["name"], state["tracker"]["moving"], state["at_stow"]
 
-        await tracking(rig)
-        await at_rest(rig)
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
+        lose_packets(rig, monkeypatch, A_PACKET, B_PACKET)
         rig.wind_m_s = 20.0
         await rig.until(lambda: rig.motion.last_move.outcome is MoveOutcome.REFUSED, 60, "the stow that fails")
         assert await seen() == ("stow", False, False)
         monkeypatch.undo()
         await rig.until(lambda: rig.truth().b_deg > 89, 700, "the stow")
-        await at_rest(rig)
+        await wait_for_rest(rig)
         assert await seen() == ("stow", False, True)
         rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
         await asyncio.sleep(45)
@@ -219,13 +219,13 @@ def test_a_stow_that_failed_and_waits_for_a_retry_is_not_reported_as_at_the_stow
 
 def test_a_reference_run_is_reported_as_moving_and_homing_without_a_target(serve):
     async def scenario(rig, call):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         assert (await call.post("home", b"{}")).status == 200
         tracker = (await call.get("/api/state")).json["tracker"]
         assert (tracker["moving"], tracker["homing"], tracker["target"]) == (True, True, None)
         assert 'heliocube_moving{tracker="tracker"} 1.0' in (await call.get("/metrics")).body.decode()
-        await at_rest(rig)
+        await wait_for_rest(rig)
         tracker = (await call.get("/api/state")).json["tracker"]
         assert (tracker["moving"], tracker["homing"]) == (False, False)
 
@@ -239,7 +239,7 @@ def test_the_stow_release_time_is_null_while_one_of_the_stow_sources_gives_none(
         calm = StowStatus("field", None, 1.0)
 
         def missing_s(*sources):
-            seen = rig.see()
+            seen = rig.take_snapshot()
             (tracker,) = seen.trackers
             return state_json(replace(seen, trackers=(replace(tracker, wind=sources[::turn]),)))["stow_release_in_s"]
 
@@ -252,7 +252,7 @@ def test_the_stow_release_time_is_null_while_one_of_the_stow_sources_gives_none(
 
 def test_the_api_page_in_docs_explains_the_count_of_refused_datagrams(serve):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         assert (await call.get("/api/state")).json["bridge"]["refused"] == 0
 
     serve(scenario)

@@ -7,9 +7,9 @@ import pytest
 
 from daemon.archive.address import (
     ArchiveAddress,
-    ArchiveAwayError,
     ArchiveError,
-    connected,
+    ArchiveUnreachableError,
+    connect_to_archive,
     is_archive,
     load_password,
     parse_archive,
@@ -57,8 +57,8 @@ def test_malformed_archive_addresses_are_refused_and_passwords_in_them_are_not_s
 def test_an_error_that_waiting_cannot_mend_is_not_reported_as_a_database_that_is_away(query, part):
     pytest.importorskip("psycopg")
     with pytest.raises(ArchiveError, match=part) as error:
-        connected(parse_archive(f"postgresql:///plant?{query}"), "a test")
-    assert not isinstance(error.value, ArchiveAwayError)
+        connect_to_archive(parse_archive(f"postgresql:///plant?{query}"), "a test")
+    assert not isinstance(error.value, ArchiveUnreachableError)
 
 
 def test_a_refusal_in_another_language_is_reported_in_the_database_servers_own_words():
@@ -76,8 +76,8 @@ def test_a_refusal_in_another_language_is_reported_in_the_database_servers_own_w
         server = Thread(target=refuse)
         server.start()
         url = f"postgresql://me@127.0.0.1:{listening.getsockname()[1]}/plant?sslmode=disable&gssencmode=disable"
-        with pytest.raises(ArchiveAwayError) as error:
-            connected(parse_archive(url), "a test")
+        with pytest.raises(ArchiveUnreachableError) as error:
+            connect_to_archive(parse_archive(url), "a test")
         server.join()
     assert str(error.value) == f"the database {url} refuses: {said}"
 
@@ -86,7 +86,7 @@ def test_a_malformed_host_in_pghost_is_refused_in_one_sentence(monkeypatch):
     pytest.importorskip("psycopg")
     monkeypatch.setenv("PGHOST", "db..plant")
     with pytest.raises(ArchiveError, match="is not an address of a database"):
-        connected(parse_archive("postgresql:///plant"), "a test")
+        connect_to_archive(parse_archive("postgresql:///plant"), "a test")
 
 
 def test_a_password_file_must_have_one_line_and_be_readable_by_its_owner_only(tmp_path):

@@ -30,16 +30,16 @@ def test_pages_of_forty_senders_at_once_cost_the_archive_less_than_50_mb_of_memo
         archive = start_archive(broker.port)
         async with observer(broker.port) as lab:
             page = encoded(batch_of(origin(), {"poses": [pose_row(0)]}))
-            while not lab.on("lab/first/records/kept"):
-                await lab.say("lab/first/records", page)
+            while not lab.messages_on("lab/first/records/kept"):
+                await lab.publish("lab/first/records", page)
                 await asyncio.sleep(1.0)
             before_mb = most_mb(archive.pid)
             page = encoded(batch_of(origin(), {"poses": [pose_row(number) for number in range(5000)]}))
             async with asyncio.TaskGroup() as group:
                 for sender in range(_SENDERS):
-                    group.create_task(lab.say(f"lab/{sender}/records", page))
+                    group.create_task(lab.publish(f"lab/{sender}/records", page))
             for sender in range(_SENDERS):
-                await until(lambda sender=sender: lab.on(f"lab/{sender}/records/kept"), "a page that is kept")
+                await until(lambda sender=sender: lab.messages_on(f"lab/{sender}/records/kept"), "a page that is kept")
             assert postgres.sql("SELECT count(*) FROM heliocube.poses", database.rpartition("/")[2])[0][0] > 190_000
             assert most_mb(archive.pid) - before_mb < 50
 

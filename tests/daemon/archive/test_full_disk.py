@@ -10,7 +10,7 @@ import pytest
 
 from daemon.archive.address import ArchiveError, parse_archive
 from daemon.archive.parquet import drop_days, write_days
-from daemon.archive.reader import ArchiveReader, copied
+from daemon.archive.reader import ArchiveReader, temporary_store
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
 from tests.daemon.store.test_full_disk import small_disk
@@ -27,7 +27,7 @@ def address(database):
     rows = [(n, T0 + n, float(n), "test", text, None) for n, text in enumerate(texts)]
     with closing(ArchiveWriter(parse_archive(database))) as writer:
         writer.prepare()
-        writer.take([SentPage("lab/roof", batch_of(origin(), {"events": rows}))])
+        writer.write([SentPage("lab/roof", batch_of(origin(), {"events": rows}))])
     return parse_archive(database)
 
 
@@ -38,7 +38,7 @@ def test_copying_records_to_a_full_disk_fails_in_one_sentence_and_leaves_no_file
         pytest.raises(
             ArchiveError, match=r"cannot take the records of lab/roof \(database or disk is full\): make room"
         ),
-        copied(reader, T0, T0 + 9000.0),
+        temporary_store(reader, T0, T0 + 9000.0),
     ):
         pass
     assert list(small_disk.iterdir()) == []
@@ -54,7 +54,7 @@ def test_a_day_whose_file_cannot_be_renamed_is_not_dropped_and_fails_in_one_sent
     address, today = parse_archive(database), date(2026, 1, 1)
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
-        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
+        writer.write([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
     assert len(list(write_days(address, small_disk / "days", today))) == 1
     subprocess.run(["mount", "-o", "remount,ro", small_disk], check=True)
     with pytest.raises(UserError, match=r"--out: .*/records.parquet cannot get its final name: Read-only file system"):

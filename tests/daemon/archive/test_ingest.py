@@ -10,15 +10,15 @@ from itertools import pairwise
 
 import pytest
 
-from daemon.archive.address import ArchiveAwayError, ArchiveError, PagesRefusedError, parse_archive
+from daemon.archive.address import ArchiveError, ArchiveUnreachableError, PagesRefusedError, parse_archive
 from daemon.archive.ingest import Ingester
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.clock import SystemClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.config.links import ArchiveSettings, MqttSettings
 from daemon.store.batches import encoded
 from tests.daemon.bridge.desk import HandClock
-from tests.support.archive import T0, Sender, archived, batch_of, event, origin, pose, pose_row, scan
+from tests.support.archive import T0, Sender, archived_records, batch_of, event, origin, pose, pose_row, scan
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
 from tests.support.postgres import Postgres
 
@@ -41,7 +41,7 @@ async def all_kept(postgres, database, *senders):
         found = []
         for _ in range(600):
             with contextlib.suppress(Exception):
-                found = sorted(archived(postgres, database, sender.installation))
+                found = sorted(archived_records(postgres, database, sender.installation))
             if len(found) >= len(wanted):
                 break
             await asyncio.sleep(0.1 * SPEED)
@@ -81,11 +81,11 @@ def test_every_record_arrives_once_though_broker_database_or_archive_is_killed_o
             await asyncio.sleep(SPEED)
             second.send_signal(signal.SIGSTOP)
             broker.hang()
-            postgres.go_on()
+            postgres.resume()
             more()
             await asyncio.sleep(SPEED)
             second.send_signal(signal.SIGCONT)
-            broker.go_on()
+            broker.resume()
             await all_kept(postgres, database, *senders)
         for sender in senders:
             sender.store.close()
@@ -108,17 +108,17 @@ def test_two_services_under_one_name_are_logged_and_both_kept_and_an_invalid_pag
             await until_kept(lab, late)
             early.keep(pose(10))
             await until_kept(lab, early)
-            kept = {row[0] for row in archived(postgres, database, "lab/roof")}
+            kept = {row[0] for row in archived_records(postgres, database, "lab/roof")}
             assert kept == {early.origin.id, late.origin.id}
             log = (tmp_path / "archive.log").read_text()
             assert "two services send under the name lab/roof (sites one and two): give one of them another" in log
-            await lab.say("lab/roof/records", {"format": 9, "run": {"id": "x" * 32}})
+            await lab.publish("lab/roof/records", {"format": 9, "run": {"id": "x" * 32}})
             refusal = await lab.until("lab/roof/records/kept", lambda found: "refused" in found)
             assert refusal == {
                 "run": "x" * 32,
                 "refused": "it is of format 9, and this archive reads format 1: update the archive",
             }
-            await lab.say("lab/roof/records", b"\xff")
+            await lab.publish("lab/roof/records", b"\xff")
             late.keep(pose(11))
             await until_kept(lab, late)
         for sender in (early, late):
@@ -141,10 +141,10 @@ def test_records_for_a_dropped_day_are_taken_by_the_writer_that_wrote_that_day_b
     writer, run = ArchiveWriter(parse_archive(database)), origin()
     writer.prepare()
     try:
-        assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0)]}))]).added == 1
+        assert writer.write([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0)]}))]).added == 1
         name = database.rpartition("/")[2]
         postgres.sql("DROP TABLE heliocube.poses_20221014", name)
-        assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(1)]}))]).added == 1
+        assert writer.write([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(1)]}))]).added == 1
         assert postgres.sql("SELECT number FROM heliocube.poses", name) == [(1,)]
     finally:
         writer.close()
@@ -156,7 +156,7 @@ def test_a_record_just_before_midnight_whose_time_rounds_up_is_stored_in_the_nex
     try:
         # The database's microseconds would round this to midnight.
         just_before_s = math.nextafter(T0 + 86400.0, 0.0)
-        assert writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0, just_before_s)]}))]).added == 1
+        assert writer.write([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0, just_before_s)]}))]).added == 1
         assert postgres.sql("SELECT number FROM heliocube.poses_20221015", database.rpartition("/")[2]) == [(0,)]
     finally:
         writer.close()
@@ -175,9 +175,9 @@ def test_a_page_of_more_days_than_the_database_can_lock_is_refused_and_the_next_
             with pytest.raises(
                 PagesRefusedError, match=r"cannot take the records in one transaction: out of shared memory"
             ):
-                writer.take([page(0, 500)])
+                writer.write([page(0, 500)])
             # Making a day takes more locks than writing into it, so not all are made at once.
-            assert writer.take([page(1000, 250)]).added == 250
+            assert writer.write([page(1000, 250)]).added == 250
     finally:
         server.close()
 
@@ -186,15 +186,15 @@ def test_a_wait_for_a_database_that_hangs_can_be_ended(postgres, database):
     writer = ArchiveWriter(parse_archive(database))
     writer.prepare()
     page = SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))
-    assert writer.take([page, page]).added == 1
+    assert writer.write([page, page]).added == 1
     postgres.hang()
     try:
-        timer = threading.Timer(0.3, writer.give_up)
+        timer = threading.Timer(0.3, writer.abort_call)
         timer.start()
-        with pytest.raises(ArchiveAwayError, match="does not answer"):
-            writer.take([page])
+        with pytest.raises(ArchiveUnreachableError, match="does not answer"):
+            writer.write([page])
     finally:
-        postgres.go_on()
+        postgres.resume()
         timer.join()
         writer.close()
 
@@ -223,7 +223,7 @@ def test_a_database_with_sql_ascii_encoding_is_refused_with_advice_to_create_ano
     postgres.sql("CREATE DATABASE ascii ENCODING 'SQL_ASCII' TEMPLATE template0")
     with pytest.raises(ArchiveError, match="has the encoding SQL_ASCII: make one with 'createdb") as error:
         ArchiveWriter(parse_archive(postgres.url("ascii")))
-    assert not isinstance(error.value, ArchiveAwayError)
+    assert not isinstance(error.value, ArchiveUnreachableError)
     postgres.sql("DROP DATABASE ascii WITH (FORCE)")
 
 
@@ -234,7 +234,7 @@ def test_a_page_with_an_invalid_text_is_refused_and_the_next_page_is_taken(postg
         for site, taken in (("\ud800", False), ("Łódź", True)):
             page = SentPage("lab/roof", batch_of(origin(site=site), {"poses": [pose_row(0)]}))
             with contextlib.nullcontext() if taken else pytest.raises(PagesRefusedError, match="does not take"):
-                assert writer.take([page]).added == 1
+                assert writer.write([page]).added == 1
 
 
 def test_a_user_who_may_only_read_the_archive_is_refused_as_its_writer(postgres, database):
@@ -259,13 +259,13 @@ def test_a_broker_that_stays_up_after_repeated_losses_is_logged_as_steady_again(
 
     async def heard():
         async with observer(broker.port) as lab:
-            while not lab.on("heliocube/roof/records/kept"):
-                await lab.say("heliocube/roof/records", {"run": {"id": "none"}})
+            while not lab.messages_on("heliocube/roof/records/kept"):
+                await lab.publish("heliocube/roof/records", {"run": {"id": "none"}})
                 await asyncio.sleep(1.0)
 
     async def scenario():
         settings = MqttSettings(port=broker.port, keepalive_s=2)
-        ingester = Ingester(settings, ArchiveSettings(), parse_archive(database), clock, Notifier({}, 0))
+        ingester = Ingester(settings, ArchiveSettings(), parse_archive(database), clock, SystemdNotifier({}, 0))
         work = asyncio.create_task(ingester.run())
         for _ in range(7):
             await heard()
@@ -282,7 +282,7 @@ def test_a_broker_that_stays_up_after_repeated_losses_is_logged_as_steady_again(
 
 
 def test_the_archive_reports_ready_to_the_service_manager_while_the_database_is_away():
-    class Manager(Notifier):
+    class Manager(SystemdNotifier):
         ready_told = False
 
         def ready(self):
@@ -301,7 +301,7 @@ def test_the_archive_reports_ready_to_the_service_manager_while_the_database_is_
 
 
 def test_the_service_manager_gets_watchdog_messages_between_the_parts_of_a_long_backlog(database, broker):
-    class Manager(Notifier):
+    class Manager(SystemdNotifier):
         def __init__(self):
             super().__init__({}, 0)
             self.told = []
@@ -318,13 +318,13 @@ def test_the_service_manager_gets_watchdog_messages_between_the_parts_of_a_long_
         ingester = Ingester(settings, ArchiveSettings(), parse_archive(database), SystemClock(), manager)
         work = asyncio.create_task(ingester.run())
         async with observer(broker.port) as lab:
-            while not lab.on("heliocube/roof/records/kept"):
-                await lab.say("heliocube/roof/records", {"run": {"id": "none"}})
+            while not lab.messages_on("heliocube/roof/records/kept"):
+                await lab.publish("heliocube/roof/records", {"run": {"id": "none"}})
                 await asyncio.sleep(1.0)
             pages = [{"poses": [pose_row(n) for n in range(page, page + 5000)]} for page in range(0, 20_000, 5000)]
             async with asyncio.TaskGroup() as group:
                 for page in pages:
-                    group.create_task(lab.say("heliocube/roof/records", encoded(batch_of(run, page))))
+                    group.create_task(lab.publish("heliocube/roof/records", encoded(batch_of(run, page))))
             await until(lambda: "20000 records since the start" in manager.told, "all records")
         work.cancel()
         await asyncio.wait([work])

@@ -18,10 +18,10 @@ from tests.support.postgres import BINARIES, WITHOUT_POSTGRES, Postgres
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
 def test_a_day_is_dropped_only_after_its_file_and_folders_are_synced_to_disk(postgres, database, tmp_path, monkeypatch):
-    address, synced, fsync = parse_archive(database), [], os.fsync
+    address, synced_files, fsync = parse_archive(database), [], os.fsync
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
-        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
+        writer.write([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
 
     def parts():
         query = "SELECT count(*) FROM pg_class WHERE relname = 'poses_20221014'"
@@ -30,7 +30,7 @@ def test_a_day_is_dropped_only_after_its_file_and_folders_are_synced_to_disk(pos
     def noted(descriptor):
         fsync(descriptor)
         found, final = os.fstat(descriptor), list(tmp_path.rglob("final-*.parquet"))
-        synced.append((found.st_ino, found.st_size, bool(final), parts()))
+        synced_files.append((found.st_ino, found.st_size, bool(final), parts()))
 
     monkeypatch.setattr(os, "fsync", noted)
     out = tmp_path / "days"
@@ -39,8 +39,8 @@ def test_a_day_is_dropped_only_after_its_file_and_folders_are_synced_to_disk(pos
     (dropped,) = drop_days(address, out, date(2026, 1, 1))
     assert (written.written, dropped.rows, parts()) == (True, 1, 0)
     file = dropped.path.stat()
-    assert (file.st_ino, file.st_size, False, 1) in synced
-    with_final_name = {number for number, _, final, part in synced if final and part}
+    assert (file.st_ino, file.st_size, False, 1) in synced_files
+    with_final_name = {number for number, _, final, part in synced_files if final and part}
     assert with_final_name >= {folder.stat().st_ino for folder in dropped.path.parents[:3]}
 
 
@@ -49,7 +49,7 @@ def test_the_file_of_a_day_dropped_by_hand_survives_records_that_arrive_late(pos
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
         for rows in ([pose_row(0), pose_row(1)], [pose_row(2)]):
-            writer.take([SentPage("lab/roof", batch_of(run, {"poses": rows}))])
+            writer.write([SentPage("lab/roof", batch_of(run, {"poses": rows}))])
             assert [one.written for one in write_days(address, tmp_path, date(2026, 1, 1))] == [True]
             postgres.sql("DROP TABLE heliocube.poses_20221014", database.rpartition("/")[2])
     files = sorted((tmp_path / "poses" / "day=2022-10-14").iterdir())
@@ -62,12 +62,12 @@ def test_records_that_the_database_has_lost_stay_in_the_file_of_their_day(postgr
     page = SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
-        writer.take([page])
+        writer.write([page])
         list(write_days(address, tmp_path, date(2026, 1, 1)))
         postgres.sql("DELETE FROM heliocube.poses WHERE number = 1", database.rpartition("/")[2])
         assert [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))] == [(2, False)]
         assert list(drop_days(address, tmp_path, date(2026, 1, 1))) == []
-        writer.take([page, SentPage("lab/late", page.batch)])
+        writer.write([page, SentPage("lab/late", page.batch)])
     assert [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))] == [(4, True)]
 
 
@@ -80,7 +80,7 @@ def test_after_restoring_a_dump_a_record_is_in_one_file_whether_its_day_was_drop
     def take(*rows):
         with closing(ArchiveWriter(address)) as writer:
             writer.prepare()
-            writer.take([SentPage("lab/roof", batch_of(run, {"poses": list(rows)}))])
+            writer.write([SentPage("lab/roof", batch_of(run, {"poses": list(rows)}))])
 
     def written():
         return [(one.rows, one.written) for one in write_days(address, tmp_path, date(2026, 1, 1))]
@@ -104,7 +104,7 @@ def test_an_earlier_file_that_cannot_be_read_is_reported_in_one_sentence(databas
     address = parse_archive(database)
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
-        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
+        writer.write([SentPage("lab/roof", batch_of(origin(), {"poses": [pose_row(0)]}))])
     # A disk with bad sectors raises an OSError too: neither means that the file is damaged.
     (tmp_path / "poses" / "day=2022-10-14" / "records.parquet").mkdir(parents=True)
     with pytest.raises(UserError, match=r"^--out: .*/records.parquet cannot be written: .*is a directory"):
@@ -122,7 +122,7 @@ def test_the_file_of_a_dropped_day_survives_a_database_server_that_is_set_up_ane
             address = parse_archive(server.url())
             with closing(ArchiveWriter(address)) as writer:
                 writer.prepare()
-                writer.take([SentPage("lab/roof", batch_of(run, {"poses": rows}))])
+                writer.write([SentPage("lab/roof", batch_of(run, {"poses": rows}))])
             assert [one.written for one in write_days(address, out, date(2026, 1, 1))] == [True]
             assert [one.rows for one in drop_days(address, out, date(2026, 1, 1))] == [len(rows)]
         finally:
@@ -140,7 +140,7 @@ def test_late_records_survive_restoring_a_server_backup_from_before_the_day_was_
         address = parse_archive(server.url())
         with closing(ArchiveWriter(address)) as writer:
             writer.prepare()
-            writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))])
+            writer.write([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(0), pose_row(1)]}))])
         data, backup = server.folder / "data", server.folder / "backup"
         server.kill()
         subprocess.run(["cp", "-a", data, backup], check=True)
@@ -149,7 +149,7 @@ def test_late_records_survive_restoring_a_server_backup_from_before_the_day_was_
         assert [one.rows for one in drop_days(address, out, today)] == [2]
         with closing(ArchiveWriter(address)) as writer:
             writer.prepare()
-            writer.take([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(2)]}))])
+            writer.write([SentPage("lab/roof", batch_of(run, {"poses": [pose_row(2)]}))])
         assert [one.rows for one in write_days(address, out, today)] == [1]
         server.kill()
         data.rename(server.folder / "lost")
@@ -167,7 +167,7 @@ def test_a_file_with_a_damaged_footer_is_written_again_and_blocks_no_other_day(d
     rows = [pose_row(0), pose_row(1, utc_s=T0 + 86400)]
     with closing(ArchiveWriter(address)) as writer:
         writer.prepare()
-        writer.take([SentPage("lab/roof", batch_of(origin(), {"poses": rows}))])
+        writer.write([SentPage("lab/roof", batch_of(origin(), {"poses": rows}))])
     first, second = (one.path for one in write_days(address, tmp_path, date(2026, 1, 1)))
     second.unlink()
     whole = first.read_bytes()

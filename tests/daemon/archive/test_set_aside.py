@@ -7,10 +7,10 @@ from random import Random
 import pytest
 
 from daemon.archive.address import parse_archive
-from daemon.archive.aside import retry, take_what_can_be
+from daemon.archive.aside import retry, write_accepted_records
 from daemon.archive.writer import ArchiveWriter, SentPage
 from tests.daemon.archive.test_ingest import all_kept, running
-from tests.support.archive import Sender, archived, batch_of, event, origin, pose, pose_row
+from tests.support.archive import Sender, archived_records, batch_of, event, origin, pose, pose_row
 from tests.support.mqtt import SPEED, needs_mosquitto, observer, until
 from tests.support.postgres import Postgres
 
@@ -58,14 +58,14 @@ def test_one_record_that_the_database_refuses_is_set_aside_and_written_once_it_i
     if "UNIQUE" in made:
         # A record of the same instant as the one before.
         page.batch.rows["poses"][7] = (7, *page.batch.rows["poses"][6][1:])
-    added, refused = take_what_can_be(writer, page)
+    added, refused = write_accepted_records(writer, page)
     assert (added, [(each.kind, each.row[0]) for each in refused]) == (99, [("poses", 7)])
     assert why in refused[0].why
     ((kind, number, record, said),) = ask("SELECT kind, number, record, why FROM heliocube.set_aside")
     assert (kind, number, record["tracker"], record["a_deg"]) == ("poses", 7, "roof", 1.5)
     assert why in said
     assert ask("SELECT through FROM heliocube.runs") == [(99,)]
-    assert take_what_can_be(writer, page)[0] == 0, "what comes twice is set aside once"
+    assert write_accepted_records(writer, page)[0] == 0, "what comes twice is set aside once"
     still = retry(parse_archive(database))
     assert (still.aside, still.taken, list(still.still.values())) == (1, 0, [1])
     ask(undone)
@@ -89,7 +89,7 @@ def test_records_go_into_a_changed_column_if_its_type_allows_and_are_set_aside_o
 ):
     ask(f"ALTER TABLE heliocube.poses DROP COLUMN {column}")
     ask(f"ALTER TABLE heliocube.poses ADD COLUMN {column} {holds}")
-    added, refused = take_what_can_be(writer, page_of())
+    added, refused = write_accepted_records(writer, page_of())
     assert (added, len(refused)) == (100 - aside, aside)
 
 
@@ -99,7 +99,7 @@ def test_a_record_with_a_text_too_long_for_a_user_made_index_is_set_aside(ask, w
     page = page_of(
         events=[(100, 1.6657056e9, 100.0, "test", noise, "roof"), (101, 1.6657056e9, 101.0, "test", "", "roof")]
     )
-    added, refused = take_what_can_be(writer, page)
+    added, refused = write_accepted_records(writer, page)
     assert (added, [(each.kind, each.row[0]) for each in refused]) == (101, [("events", 100)])
     assert "index row" in refused[0].why
 
@@ -111,7 +111,7 @@ def test_a_page_of_more_days_than_the_database_can_lock_is_written_in_parts():
             writer.prepare()
             rows = [pose_row(number, 1.5e9 - 86400.0 * number) for number in range(500)]
             page = SentPage("lab/roof", batch_of(origin(), {"poses": rows}))
-            assert take_what_can_be(writer, page) == (500, [])
+            assert write_accepted_records(writer, page) == (500, [])
         assert server.sql("SELECT through FROM heliocube.runs") == [(499,)]
     finally:
         server.close()
@@ -135,7 +135,7 @@ def test_records_after_a_refused_one_are_kept_and_the_service_raises_an_alarm(
             text = sender.alarms["archive-set-aside"]
             assert text.startswith("the archive's database does not take 1 record of lab/roof/records: the database")
             sender.keep(pose(21), event(22))
-            await until(lambda: len(archived(postgres, database, "lab/roof")) == 22, "all others")
+            await until(lambda: len(archived_records(postgres, database, "lab/roof")) == 22, "all others")
             assert "of lab/roof 1 record is set aside (" in (tmp_path / "archive.log").read_text()
         sender.store.close()
         ask("ALTER TABLE heliocube.poses DROP CONSTRAINT no_seven")

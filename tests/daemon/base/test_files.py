@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.base.files import read_secret, replace_file, rewrite_file, whole_file, write_secret
-from daemon.base.state import replace_kept
+from daemon.base.files import atomic_text_file, read_secret, replace_file, rewrite_file, write_secret
+from daemon.base.state import replace_state_file
 from tests.daemon.store.test_full_disk import fill, small_disk
 
 __all__ = ["small_disk"]
@@ -32,20 +32,20 @@ def test_rewriting_a_file_keeps_its_owner_and_mode_and_the_link_to_it(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows syncs no folders")
-@pytest.mark.parametrize("write", [replace_file, rewrite_file, replace_kept])
+@pytest.mark.parametrize("write", [replace_file, rewrite_file, replace_state_file])
 def test_replacing_a_file_returns_only_after_its_folder_is_synced_to_disk(tmp_path, monkeypatch, write):
-    file, synced, fsync = tmp_path / "kept.json", [], os.fsync
+    file, synced_files, fsync = tmp_path / "kept.json", [], os.fsync
     file.write_text("before")
 
     def noted(descriptor):
         fsync(descriptor)
         if os.path.samestat(os.fstat(descriptor), tmp_path.stat()):
-            synced.append(file.read_text())
+            synced_files.append(file.read_text())
 
     monkeypatch.setattr(os, "fsync", noted)
     write(file, "after")
     # If only memory knows of a rename, a power cut brings back the file from before.
-    assert synced == ["after"]
+    assert synced_files == ["after"]
 
 
 def test_writing_a_file_through_a_link_keeps_the_link_and_replaces_a_link_to_itself(tmp_path):
@@ -53,7 +53,7 @@ def test_writing_a_file_through_a_link_keeps_the_link_and_replaces_a_link_to_its
     link.symlink_to(file)
     loop.symlink_to(loop)
     for path in (link, loop):
-        with whole_file(path) as written:
+        with atomic_text_file(path) as written:
             written.write("a\n")
     assert (file.read_text(), link.is_symlink(), loop.read_text(), loop.is_symlink()) == ("a\n", True, "a\n", False)
 

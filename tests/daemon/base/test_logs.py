@@ -23,7 +23,7 @@ def root_logger():
 def written(root_logger):
     def configure(**options):
         stream = io.StringIO()
-        logs.configure(stream, **{"journal": True, "level": logging.DEBUG, **options})
+        logs.configure_logging(stream, **{"journal": True, "level": logging.DEBUG, **options})
         return stream
 
     return configure
@@ -101,7 +101,7 @@ def test_warnings_of_the_interpreter_are_logged_in_one_line(written):
 def test_objects_made_at_the_start_are_frozen_out_of_garbage_collection():
     made = [[] for _ in range(1000)]
     before = gc.get_freeze_count()
-    logs.keep_start()
+    logs.freeze_startup_objects()
     try:
         assert gc.get_freeze_count() >= before + len(made)
     finally:

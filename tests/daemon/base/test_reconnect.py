@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daemon.base.reconnect import Outage, Reconnection, Rhythm
+from daemon.base.reconnect import Outage, PeriodicSchedule, Reconnection
 from daemon.base.timeloop import VirtualTimeLoop
 
 
@@ -180,7 +180,7 @@ def reconnecting(outage, tries):
     async def use():
         answer = tries.pop(0)
         if answer is None:
-            reconnection.works("as before")
+            reconnection.note_working("as before")
             answer = asyncio.CancelledError()
         note("use")
         raise answer
@@ -228,8 +228,8 @@ def test_beginning_and_end_of_an_outage_are_notified_and_reminders_are_not():
         # With a try every 8 s these are tries for more than an hour, with two reminders.
         if loop.time() < 4000.0:
             raise GoneError("no port")
-        assert reconnection.works()
-        assert not reconnection.works()
+        assert reconnection.note_working()
+        assert not reconnection.note_working()
         raise ValueError("enough")
 
     async def close():
@@ -250,7 +250,7 @@ def test_suppressed_log_lines_of_a_device_that_comes_and_goes_are_not_notified_e
 
 
 def test_a_rhythm_keeps_its_phase_and_counts_the_beats_that_it_skips():
-    rhythm = Rhythm(5.0)
+    rhythm = PeriodicSchedule(5.0)
     rhythm.start(100.0)
     assert rhythm.wait_s(101.0) == pytest.approx(4.0)
     assert rhythm.wait_s(109.5) == pytest.approx(0.5)

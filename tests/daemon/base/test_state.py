@@ -9,7 +9,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict
 
 from daemon.base.files import replace_file
-from daemon.base.state import ROOM_BYTES, StateFile, StateFolder, UnreadableStateError, replace_kept, spare_of
+from daemon.base.state import ROOM_BYTES, StateFile, StateFolder, UnreadableStateError, replace_state_file, spare_of
 from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support import PATIENCE_S
 
@@ -132,7 +132,7 @@ def test_saving_state_does_not_wait_for_a_slow_disk_which_gets_the_newest_conten
     for count in (3, 4, 5):
         first.save(Kept(count=count))
     assert disk.written == []
-    assert folder.at_work
+    assert folder.is_writing
     assert folder.unsaved.startswith("a restart would forget the b.json and the a.json: ")
     assert folder.trouble is None, "a disk at work is no trouble yet"
     now_s[0] += 6.0
@@ -141,7 +141,7 @@ def test_saving_state_does_not_wait_for_a_slow_disk_which_gets_the_newest_conten
         f": {tmp_path / 'b.json'} and a.json cannot be written (the disk has not answered yet)"
     )
     disk.let.release(3)
-    assert folder.settle(60)
+    assert folder.wait_for_writes(60)
     assert disk.written == [("a.json", '{"count":1}'), ("b.json", '{"count":2}'), ("a.json", '{"count":5}')]
     assert folder.unsaved is None
     assert first.load() == Kept(count=5)
@@ -187,7 +187,7 @@ def dies_in_the_middle(monkeypatch):
 
     def die(path, count):
         for text in ("first", "second"):
-            replace_kept(path, text)
+            replace_state_file(path, text)
         done = []
 
         def counting(name):
@@ -204,7 +204,7 @@ def dies_in_the_middle(monkeypatch):
         for name in ("fsync", "link", "rename", "replace", "unlink"):
             monkeypatch.setattr(os, name, counting(name))
         with contextlib.suppress(KeyboardInterrupt):
-            replace_kept(path, "third, and longer")
+            replace_state_file(path, "third, and longer")
         monkeypatch.undo()
 
     return die
@@ -217,7 +217,7 @@ def test_a_process_that_dies_while_replacing_a_file_leaves_the_whole_old_or_the_
     path = tmp_path / "kept.json"
     dies_in_the_middle(path, dies_at)
     assert path.read_text() in ("second", "third, and longer")
-    replace_kept(path, "4th")
+    replace_state_file(path, "4th")
     assert (path.read_text(), spare_of(path).exists()) == ("4th", True)
 
 
@@ -229,7 +229,7 @@ def test_reserved_room_on_a_full_disk_survives_a_process_that_died_while_replaci
     dies_in_the_middle(path, dies_at)
     fill(small_disk / "filler")
     for text in ("4th", "5th"):
-        replace_kept(path, text)
+        replace_state_file(path, text)
         assert path.read_text() == text
 
 
@@ -239,7 +239,7 @@ def test_a_file_system_without_hard_links_keeps_reserved_room_too(tmp_path, monk
 
     monkeypatch.setattr(os, "link", link)
     for text in ("first", "second, and longer", "3rd"):
-        replace_kept(tmp_path / "kept.json", text)
+        replace_state_file(tmp_path / "kept.json", text)
         assert (tmp_path / "kept.json").read_text() == text
         assert spare_of(tmp_path / "kept.json").read_text() == text
 
@@ -268,9 +268,9 @@ def test_state_is_reported_as_unsaved_and_written_later_when_no_thread_can_start
         folder.retry()
         now_s = 6.0
         assert folder.trouble is not None
-        assert not folder.at_work
+        assert not folder.is_writing
     folder.retry()
-    assert folder.settle(60.0)
+    assert folder.wait_for_writes(60.0)
     assert kept.load() == Kept(count=1)
 
 
@@ -286,10 +286,10 @@ def test_an_unexpected_error_while_saving_state_is_reported_and_blocks_no_other_
     one, other = (StateFile(folder, name, Kept, LOG, "the count") for name in ("one.json", "other.json"))
     one.save(Kept(count=1))
     other.save(Kept(count=2))
-    assert not folder.settle(60.0)
+    assert not folder.wait_for_writes(60.0)
     assert "one.json cannot be written (MemoryError())" in folder.trouble
     assert other.load() == Kept(count=2)
     broken = False
     folder.retry()
-    assert folder.settle(60.0)
+    assert folder.wait_for_writes(60.0)
     assert one.load() == Kept(count=1)

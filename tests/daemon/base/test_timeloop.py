@@ -10,7 +10,7 @@ from contextvars import ContextVar
 
 import pytest
 
-from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until, look_until, virtual_time
+from daemon.base.timeloop import ScaledTimeLoop, VirtualTimeLoop, call_every, call_until, virtual_time, wait_or_poll
 
 NAME = ContextVar("name", default="")
 
@@ -271,10 +271,10 @@ def test_look_until_ends_when_its_look_succeeds_or_the_event_is_set(loop):
             looks.append(running.time())
             return len(looks) == 3
 
-        await look_until(event, 0.01, look)
+        await wait_or_poll(event, 0.01, look)
         found = len(looks), event.is_set()
         running.call_soon(event.set)
-        await look_until(event, 3600.0, look)
+        await wait_or_poll(event, 3600.0, look)
         return found, len(looks), event.is_set()
 
     with asyncio.Runner(loop_factory=loop) as runner:

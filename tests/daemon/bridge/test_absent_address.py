@@ -14,8 +14,8 @@ from daemon.bridge.receiver import BridgeReceiver
 from daemon.config.links import BridgeSettings
 from tests.daemon.bridge.desk import KEY, UTC_S, scan, signed
 from tests.support.addresses import SocketWithoutIpv6
-from tests.support.bad_network import without_namespaces
-from tests.support.own_network import add, in_own_network, take
+from tests.support.bad_network import why_no_namespaces
+from tests.support.own_network import add_address, in_own_network, remove_address
 
 ADDRESS, PORT = "10.88.0.7", 20571
 GROUP = "239.255.20.71"
@@ -27,7 +27,7 @@ JOIN = BridgeSettings(
 
 @pytest.fixture(scope="module")
 def _possible():
-    if why := without_namespaces():
+    if why := why_no_namespaces():
         pytest.skip(why)
 
 
@@ -78,20 +78,20 @@ def test_a_cube_is_heard_once_the_bridge_address_appears_and_again_after_it_was_
         listener.receiver.bind()
         await listener.receiver.open()
         await asyncio.sleep(59.0)
-        assert f"{ADDRESS}" in listener.receiver.deaf_why
+        assert f"{ADDRESS}" in listener.receiver.down_why
         assert listener.alarms == [], "a network that comes up with the machine is no alarm"
         await asyncio.sleep(6.0)
         ((name, text),) = listener.alarms
         assert name == "bridge-down"
         assert "is not an address of this machine" in text
-        add(ADDRESS)
+        add_address(ADDRESS)
         await asyncio.sleep(5.1)
-        assert listener.receiver.deaf_why is None
+        assert listener.receiver.down_why is None
         assert await listener.hears()
-        take(ADDRESS)
+        remove_address(ADDRESS)
         await asyncio.sleep(5.1)
-        assert "is not an address of this machine" in listener.receiver.deaf_why
-        add(ADDRESS)
+        assert "is not an address of this machine" in listener.receiver.down_why
+        add_address(ADDRESS)
         await asyncio.sleep(5.1)
         assert await listener.hears()
         assert len(listener.alarms) == 1, "what comes and goes is one alarm"
@@ -115,13 +115,13 @@ def test_the_bridge_waits_for_a_port_that_another_program_has_taken_meanwhile():
     async def scenario():
         listener = Listener(LISTEN)
         await listener.receiver.open()
-        add(ADDRESS)
+        add_address(ADDRESS)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             other.bind((ADDRESS, PORT))
             with pytest.raises(BridgeError, match="in use by another program"):
                 BridgeReceiver(LISTEN, KEY, LoopClock(asyncio.get_running_loop().time, UTC_S), print).bind()
             await asyncio.sleep(5.1)
-            assert "in use by another program" in listener.receiver.deaf_why
+            assert "in use by another program" in listener.receiver.down_why
         await asyncio.sleep(5.1)
         assert await listener.hears()
         await listener.receiver.close()

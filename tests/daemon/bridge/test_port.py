@@ -177,10 +177,10 @@ class Manager:
     def __init__(self):
         self.held = {}
 
-    def keep(self, name, opened):
+    def store_socket(self, name, opened):
         self.held[name] = opened.dup()
 
-    def take_kept(self, name):
+    def take_stored_socket(self, name):
         for other in set(self.held) - {name}:
             self.held.pop(other).close()
         return self.held[name].dup() if name in self.held else None

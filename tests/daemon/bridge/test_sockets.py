@@ -151,7 +151,7 @@ def test_a_multicast_group_without_an_interface_setting_is_joined_if_a_network_l
     async def main():
         await receiver.open()
         # Hearing nothing because there is no network is right too.
-        assert receiver.deaf_why is None or "no network of this machine leads to it" in receiver.deaf_why
+        assert receiver.down_why is None or "no network of this machine leads to it" in receiver.down_why
         await receiver.close()
 
     asyncio.run(main())

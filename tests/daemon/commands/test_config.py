@@ -11,9 +11,9 @@ from daemon.bridge.signing import load_key
 from daemon.commands.config import write_example
 from daemon.commands.file_check import check_file
 from daemon.config.settings import Settings
-from tests.support.disk import synced
+from tests.support.disk import synced_files
 
-__all__ = ["synced"]
+__all__ = ["synced_files"]
 
 REAL = """
 [instruments]
@@ -78,9 +78,9 @@ def test_two_rigs_get_two_keys_and_two_tokens(heliocube, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
-def test_init_syncs_all_its_files_to_disk_so_that_they_survive_a_power_cut(heliocube, tmp_path, synced):
+def test_init_syncs_all_its_files_to_disk_so_that_they_survive_a_power_cut(heliocube, tmp_path, synced_files):
     assert heliocube("config", "init", tmp_path)[0] == 0
-    assert synced == ["heliocube.toml", "bridge.key", "api.token"]
+    assert synced_files == ["heliocube.toml", "bridge.key", "api.token"]
 
 
 @pytest.mark.parametrize("there", ["heliocube.toml", "bridge.key", "api.token"])
@@ -258,7 +258,7 @@ def test_check_finds_the_store_of_a_units_file_without_a_folder_where_the_unit_k
 ):
     """The service's user may not write beside the file; the unit does not either, and keeps the store elsewhere."""
     path, kept = tmp_path / "etc" / "east.toml", tmp_path / "lib" / "east"
-    monkeypatch.setattr("daemon.store.place.OF_THE_UNITS", kept.parent)
+    monkeypatch.setattr("daemon.store.place.SYSTEMD_STATE_FOLDER", kept.parent)
     kept.mkdir(parents=True)
     path.parent.mkdir()
     path.write_text(

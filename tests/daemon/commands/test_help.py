@@ -6,7 +6,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from daemon.commands.main import app
-from daemon.service.operator_commands import NAMES
+from daemon.service.operator_commands import COMMAND_NAMES
 
 
 def commands(command, path=()):
@@ -43,7 +43,7 @@ def test_every_help_fits_its_width_and_shows_every_word(path, columns):
         assert words(about) in told, about
 
 
-@pytest.mark.parametrize("order", sorted({*NAMES} - {"mode", "acknowledge"}))
+@pytest.mark.parametrize("order", sorted({*COMMAND_NAMES} - {"mode", "acknowledge"}))
 def test_the_help_of_each_tracker_command_explains_its_exit_codes(order):
     told = words(CliRunner(env={"COLUMNS": "80"}).invoke(app, [order, "--help"]).output)
     seen = "Exit code: 0 if its effect was seen, complete or under way; 3 if it was not seen in time;"

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.commands.kept import records_of, with_place
+from daemon.commands.kept import find_records_folder, with_default_store_folder
 from daemon.config.settings import Settings
-from daemon.store.place import claimed
+from daemon.store.place import lock_folder
 from tests.support import forks
 
 FILE = Path("rig/heliocube.toml")
@@ -22,9 +22,9 @@ NAMED = Settings.model_validate({"instruments": {"kind": "real"}, "store": {"dir
 )
 def test_a_rig_of_real_instruments_has_a_default_store_folder_and_a_simulated_rig_has_none(settings, file, found):
     wanted = None if found is None else Path(found)
-    assert with_place(settings, file, {}).store.directory == wanted
+    assert with_default_store_folder(settings, file, {}).store.directory == wanted
     if file is not None:
-        assert records_of(settings, file, {}) == wanted
+        assert find_records_folder(settings, file, {}) == wanted
 
 
 def heliocube(*words):
@@ -65,7 +65,7 @@ def test_export_finds_the_default_store_folder_and_a_second_service_is_refused_i
         '[bridge]\ninsecure = true\nlisten = "127.0.0.1:0"\n[api]\nenabled = false\n'
     )
     run = ("run", "--role", "tracker", "--config", file, "--for", "0.3")
-    with claimed(kept, ("tracker",)):
+    with lock_folder(kept, ("tracker",)):
         before = sorted(kept.iterdir())
         code, _, err = heliocube(*run)
         assert (code, sorted(kept.iterdir())) == (2, before)

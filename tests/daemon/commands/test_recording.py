@@ -3,7 +3,7 @@
 import sys
 import threading
 
-from daemon.commands.recording import recorded
+from daemon.commands.recording import record_transcript
 from drivers.transcript import parse
 
 PIECES = 20_000
@@ -14,7 +14,7 @@ def test_a_transcript_recorded_from_two_threads_has_all_pieces_of_both_in_order(
     every_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
-        with recorded(tmp_path / "line") as tap:
+        with record_transcript(tmp_path / "line") as tap:
 
             def talk(direction):
                 for data in told[direction]:

@@ -13,7 +13,7 @@ from daemon.config.keys import tables
 from daemon.config.links import BridgeSettings
 from daemon.config.sections import LimitSettings, SafetySettings, Sections
 from daemon.config.settings import Settings
-from daemon.config.template import example, reference
+from daemon.config.template import reference, render_config
 from tests.support import DOCS
 
 TEN_MISTAKES = """\
@@ -314,7 +314,7 @@ def test_the_command_line_changes_keys_under_the_same_rules():
 
 @pytest.mark.parametrize("role", ["both", "cube", "tracker"])
 def test_the_commented_example_file_gives_exactly_the_default_settings(load, role):
-    assert load(example(role)) == Settings()
+    assert load(render_config(role)) == Settings()
 
 
 def walk(section, path=""):
@@ -341,7 +341,7 @@ def entries(text):
 
 
 def test_the_commented_example_file_has_every_key_and_section_with_a_comment():
-    found = entries(example("both"))
+    found = entries(render_config("both"))
     known = [
         path
         for table in tables().values()
@@ -355,7 +355,7 @@ def test_the_commented_example_file_has_every_key_and_section_with_a_comment():
 
 
 def test_the_keys_commented_out_in_the_example_file_are_valid_settings(load, tmp_path):
-    text = re.sub(r"(?m)^#([a-z][a-z0-9_]* = )", r"\1", example("both"))
+    text = re.sub(r"(?m)^#([a-z][a-z0-9_]* = )", r"\1", render_config("both"))
     # Two examples are valid only with the switch that they belong to.
     found = load(text.replace("\nenabled = false", "\nenabled = true").replace("\ntls = false", "\ntls = true"))
     assert found.simulation.start_utc is not None
@@ -365,7 +365,7 @@ def test_the_keys_commented_out_in_the_example_file_are_valid_settings(load, tmp
 
 
 def test_the_example_file_of_a_role_leaves_out_the_sections_that_the_role_does_not_read():
-    cube, tracker = tomllib.loads(example("cube")), tomllib.loads(example("tracker"))
+    cube, tracker = tomllib.loads(render_config("cube")), tomllib.loads(render_config("tracker"))
     assert "limits" not in cube
     assert "cube" in cube
     assert "limits" in tracker

@@ -12,9 +12,9 @@ from daemon.base.installation import release
 from daemon.config.file import load_settings
 from daemon.config.migrate import migrate
 from tests.daemon.store.test_full_disk import fill, small_disk
-from tests.support.disk import synced
+from tests.support.disk import synced_files
 
-__all__ = ["small_disk", "synced"]
+__all__ = ["small_disk", "synced_files"]
 
 BEFORE = f"heliocube.toml.before-{release()}"
 OLDER = """\
@@ -100,10 +100,10 @@ def test_migration_of_keys_only_renames_keys_and_gives_the_tracker_no_name(file)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
-def test_migration_syncs_the_old_file_to_disk_before_the_new_one_replaces_it(file, synced):
+def test_migration_syncs_the_old_file_to_disk_before_the_new_one_replaces_it(file, synced_files):
     path = file(OLDER)
     migrate(path)
-    assert synced == [BEFORE, ".heliocube.toml.part"]
+    assert synced_files == [BEFORE, ".heliocube.toml.part"]
 
 
 @pytest.mark.parametrize("room_bytes", [0, 4096])

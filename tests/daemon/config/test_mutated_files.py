@@ -13,7 +13,7 @@ from daemon.commands.file_check import check_file
 from daemon.commands.main import main
 from daemon.config.file import ConfigError, load_settings
 from daemon.config.migrate import migrate
-from daemon.config.template import example
+from daemon.config.template import render_config
 from daemon.cube.calibration import read_calibration
 
 pytestmark = pytest.mark.slow
@@ -127,7 +127,7 @@ def in_time(read, path):
 
 def test_a_mutated_file_is_accepted_or_refused_with_a_printable_list_within_5_s(tmp_path):
     write_example(tmp_path / "good", "both")
-    good = [example("both"), example("tracker", {"mqtt.prefix": "x"}) + TRACKERS]
+    good = [render_config("both"), render_config("tracker", {"mqtt.prefix": "x"}) + TRACKERS]
     load_settings(tmp_path / "good" / "heliocube.toml")
     refused = 0
     for seed in range(FILES):

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from daemon.config.file import override
-from daemon.config.plugged import said
+from daemon.config.plugged import dump_explicit_values
 from daemon.config.settings import Settings
 
 
@@ -66,5 +66,5 @@ def test_settings_stay_the_same_when_they_are_pickled_for_another_process():
     given = Settings.model_validate({"law": {"driver": "flat", "thrift": 2.0}, "simulation": {"seed": 7}})
     there = pickle.loads(pickle.dumps(given))
     assert there == given
-    assert said(there.law) == said(given.law) == {"driver": "flat", "thrift": 2.0}
+    assert dump_explicit_values(there.law) == dump_explicit_values(given.law) == {"driver": "flat", "thrift": 2.0}
     assert override(there, {"law": {"driver": "optimal"}}).law.thrift == 2.0

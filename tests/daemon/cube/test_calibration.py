@@ -20,7 +20,7 @@ from daemon.config.file import ConfigError, load_settings
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import ExpiryWatch, calibrated_cube, new_calibration, read_calibration, write_calibration
 from daemon.store.export import export
-from daemon.store.schema import FILE_NAME, VERSION, Rows, open_for_writing
+from daemon.store.schema import FILE_NAME, VERSION, RowConverter, open_for_writing
 from daemon.studies.calibrate.readings import read_store
 from tests.daemon.store.test_full_disk import fill, small_disk
 
@@ -288,7 +288,7 @@ def test_a_store_of_an_earlier_version_is_read_and_upgraded_to_keep_calibration_
     path = tmp_path / FILE_NAME
     with closing(open_for_writing(path)) as store:
         store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', 0, 'SIRTA', 48.7, 2.2, 156, '', '')")
-        store.execute(Rows(Scan).insert, Rows(Scan).row(1, 0, scan("")))
+        store.execute(RowConverter(Scan).insert, RowConverter(Scan).row(1, 0, scan("")))
         store.execute("ALTER TABLE scans DROP COLUMN calibration")
         if version == 1:
             for name in ("dni_est", "dhi_est", "albedo_est"):
@@ -298,7 +298,7 @@ def test_a_store_of_an_earlier_version_is_read_and_upgraded_to_keep_calibration_
     with closing(open_for_writing(path)) as store:
         assert store.execute("PRAGMA user_version").fetchone()[0] == VERSION
         identifier = calibration().identifier
-        store.execute(Rows(Scan).insert, Rows(Scan).row(1, 1, scan(identifier, 1)))
+        store.execute(RowConverter(Scan).insert, RowConverter(Scan).row(1, 1, scan(identifier, 1)))
     export(tmp_path, tmp_path / "new", "csv", None, None, ["scans"])
     assert [row["calibration"] for row in exported(tmp_path / "old")] == [""]
     assert [row["calibration"] for row in exported(tmp_path / "new")] == ["", identifier]

@@ -4,11 +4,18 @@ import numpy as np
 import pytest
 
 from daemon.cube.contradictions import MINUTES, Contradictions
-from solar.faces.changes import changes
+from solar.faces.changes import change_misfits
 from solar.faces.contradiction import misfits
 from solar.faces.plausible import Doubt
 
-NONE, DEAD, OVER, ODD, SWAPPED, TORN = Doubt.NONE, Doubt.DEAD, Doubt.OVER, Doubt.ODD, Doubt.SWAPPED, Doubt.TORN
+NONE, DEAD, OVER, ODD, SWAPPED, TORN = (
+    Doubt.NONE,
+    Doubt.DEAD,
+    Doubt.TOO_BRIGHT,
+    Doubt.CONTRADICTED,
+    Doubt.SWAPPED,
+    Doubt.INCONSISTENT,
+)
 FROZEN = Doubt.FROZEN
 SOUND = [NONE] * 4
 
@@ -48,7 +55,7 @@ PASSING_W_M2 = np.where(np.arange(MINUTES) % 7 < 3, 500.0, 700.0)
 def test_a_face_that_does_not_change_with_the_light_is_found_where_the_readings_agree():
     faces, sun = half_hour(beam_w_m2=PASSING_W_M2)
     faces[:, 0] = faces[:, 0].mean()
-    assert not misfits(faces, sun).contradict
+    assert not misfits(faces, sun).is_contradictory
     assert Contradictions().look(faces, sun, SOUND) == [ODD, NONE, NONE, NONE]
 
 
@@ -57,8 +64,8 @@ def test_all_faces_are_doubted_when_readings_and_changes_accuse_different_faces(
     faces, sun = half_hour(beam_w_m2=PASSING_W_M2)
     faces[:, 0] = faces[:, 0].mean()
     faces[:, 1] -= 300.0
-    assert misfits(faces, sun).accused == (1,)
-    assert changes(faces, sun).accused == (0,)
+    assert misfits(faces, sun).suspect_faces == (1,)
+    assert change_misfits(faces, sun).suspect_faces == (0,)
     found = [contradictions.look(faces, sun, SOUND) for _ in range(6)]
     assert found == [SOUND] * 5 + [[TORN] * 4]
 
@@ -141,12 +148,12 @@ def test_a_face_that_only_looked_frozen_beside_another_in_the_shade_is_acquitted
     contradictions = Contradictions()
     shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
     assert after(contradictions, 1, [NONE, NONE, FROZEN, NONE], **shaded) == [[NONE, ODD, NONE, NONE]]
-    assert contradictions.acquitted == 2
+    assert contradictions.wrongly_frozen_face == 2
     # Once the wrong face is known, or if it is the frozen one itself, no other is sought.
     after(contradictions, 5, [NONE, ODD, NONE, NONE], **shaded)
-    assert contradictions.acquitted is None
+    assert contradictions.wrongly_frozen_face is None
     assert after(contradictions, 5, [NONE, FROZEN, NONE, NONE], **shaded)[-1] == SOUND
-    assert contradictions.acquitted is None
+    assert contradictions.wrongly_frozen_face is None
     assert after(Contradictions(), 6, [NONE, NONE, FROZEN, FROZEN], **shaded)[-1] == SOUND
     assert after(Contradictions(), 6, [NONE, NONE, FROZEN, NONE], **TURNED)[-1] == SOUND
 
@@ -156,7 +163,7 @@ def test_a_face_found_dead_ends_the_acquittal_of_a_frozen_face():
     shaded = {"share": (1.0, 0.3, 1.0, 1.0)}
     after(contradictions, 1, [NONE, NONE, FROZEN, NONE], **shaded)
     assert after(contradictions, 1, [DEAD, NONE, FROZEN, NONE], **shaded) == [SOUND]
-    assert contradictions.acquitted is None
+    assert contradictions.wrongly_frozen_face is None
 
 
 def test_a_frozen_face_is_used_again_only_after_all_four_agree():

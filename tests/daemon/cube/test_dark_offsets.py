@@ -3,11 +3,13 @@
 import pytest
 
 from daemon.config.sections import FaceSettings
-from daemon.cube.calibration import DarkOffsets, calibrated
+from daemon.cube.calibration import DarkOffsets, calibrated_irradiance
 
 
 def test_irradiance_is_the_gain_times_voltage_less_offset():
-    assert calibrated(47.0, FaceSettings(channel=0, gain_w_m2_per_mv=9.8, offset_mv=2.0)) == pytest.approx(441.0)
+    assert calibrated_irradiance(47.0, FaceSettings(channel=0, gain_w_m2_per_mv=9.8, offset_mv=2.0)) == pytest.approx(
+        441.0
+    )
 
 
 def learnt(elevation_deg, voltage_mv, readings):

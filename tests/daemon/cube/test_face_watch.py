@@ -27,9 +27,9 @@ def test_a_frozen_face_is_found_within_the_hour_and_used_again_when_it_follows_t
     (alarm,) = day.alarms.active
     assert "the same while the light changes on the others" in alarm.text
     day.minutes(20, frozen=face, at_w_m2=at_w_m2)
-    assert day.doubted() == [face], "nothing forgives a face that stays"
+    assert day.implausible_faces() == [face], "nothing forgives a face that stays"
     day.minutes(60)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 @pytest.mark.parametrize("start_utc_s", [MORNING_UTC_S - 5 * 3600, 1671602400.0])
@@ -57,9 +57,9 @@ def test_a_face_is_doubted_at_the_third_look_at_five_minutes_and_cleared_after_t
     day = WatchedDay(MORNING_UTC_S)
     assert day.minutes(7, frozen=3, at_w_m2=1800.0) == [None, None, None, 6.75]
     day.minutes(9)
-    assert day.doubted() == [3]
+    assert day.implausible_faces() == [3]
     day.minutes(6)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 def test_a_face_that_is_found_wrong_again_within_a_day_has_to_agree_for_twice_as_long():
@@ -70,7 +70,7 @@ def test_a_face_that_is_found_wrong_again_within_a_day_has_to_agree_for_twice_as
         day.clock.utc_s += 3600.0 * gap_hours
         day.minutes(12, frozen=3, at_w_m2=1800.0)
         agreed.append(0)
-        while day.doubted():
+        while day.implausible_faces():
             day.minutes(1)
             agreed[-1] += 1
     assert np.diff(agreed).tolist() == pytest.approx([10, 20, -30], abs=1)
@@ -83,7 +83,7 @@ def test_a_face_at_half_its_gain_is_not_taken_for_a_swap_nor_cleared_by_light_th
     doubted = []
     for _ in range(40):
         day.minutes(10)
-        doubted.append(day.doubted())
+        doubted.append(day.implausible_faces())
     assert 2 not in map(len, doubted)
     named = doubted.index([face]) if face == 3 else len(doubted)
     assert all(face in faces for faces in doubted[named:])
@@ -197,14 +197,14 @@ def test_swapped_faces_are_both_named_within_the_hour_and_used_again_when_they_a
     assert [each.text for each in day.alarms.active] == [alarm.text], "what is too much besides makes it no better"
     day.order = [0, 1, 2, 3]
     day.minutes(60)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 def test_passing_clouds_tell_which_of_the_faces_are_swapped_where_the_readings_do_not():
     day = WatchedDay(MORNING_UTC_S)
     day.order = [1, 0, 2, 3]
     day.minutes(60)
-    assert day.doubted() == [0, 1]
+    assert day.implausible_faces() == [0, 1]
     (alarm,) = day.alarms.active
     assert "the east and south faces read each other's light" in alarm.text
 
@@ -235,13 +235,13 @@ def test_a_face_that_jumps_for_a_minute_now_and_then_is_named_and_no_other_is(fa
     for _ in range(4):
         # The jump is spread over two minutes, half in each.
         day.minutes(9.5)
-        assert set(day.doubted()) <= {face}
+        assert set(day.implausible_faces()) <= {face}
         day.minutes(1, frozen=face, at_w_m2=at_w_m2)
-    assert day.doubted() == [face]
+    assert day.implausible_faces() == [face]
     (alarm,) = day.alarms.active
     assert f"the {FACES[face]} face reads for a minute now and then what the others do not" in alarm.text
     day.minutes(45)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 @pytest.mark.parametrize(("hours", "share"), [(0.0, 0.1), (2.25, 1.0)])
@@ -253,7 +253,7 @@ def test_jumps_that_do_not_show_which_face_is_wrong_cast_doubt_on_no_face(hours,
     for _ in range(4):
         day.minutes(9.5)
         day.minutes(1, frozen=1, at_w_m2=0.0)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 def test_a_face_that_jumps_most_of_the_time_makes_no_other_face_look_frozen():
@@ -264,9 +264,9 @@ def test_a_face_that_jumps_most_of_the_time_makes_no_other_face_look_frozen():
     for jumping in (2, 1):
         day.minutes(jumping, frozen=2, at_w_m2=1350.0)
         day.minutes(1)
-        assert set(day.doubted()) <= {2}
+        assert set(day.implausible_faces()) <= {2}
     day.minutes(20)
-    assert set(day.doubted()) <= {2}
+    assert set(day.implausible_faces()) <= {2}
 
 
 def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_the_light():
@@ -274,13 +274,13 @@ def test_a_face_in_a_shade_of_its_own_is_named_and_used_again_when_it_follows_th
     day.minutes(40)
     day.share = [1.0, 0.3, 1.0, 1.0]
     day.minutes(60)
-    assert day.doubted() == [1]
+    assert day.implausible_faces() == [1]
     (alarm,) = day.alarms.active
     assert "the south face reads what the others and the sun's position contradict" in alarm.text
     assert alarm.text.endswith(": check south for shade, dirt, reflections, a stuck sensor or a turned mount")
     day.share = [1.0] * 4
     day.minutes(60)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 @pytest.mark.parametrize(("face", "hour"), [(1, 1.0), (0, 0.0), (2, 4.0)])
@@ -299,9 +299,9 @@ def test_a_face_that_looked_frozen_is_used_again_once_it_is_known_which_face_was
     day.minutes(40)
     day.share[1] = 0.1
     day.minutes(10)
-    assert day.doubted() == [3]
+    assert day.implausible_faces() == [3]
     day.minutes(50)
-    assert day.doubted() == [1]
+    assert day.implausible_faces() == [1]
     (alarm,) = day.alarms.active
     assert "the south face reads" in alarm.text
     assert "zenith" not in alarm.text
@@ -313,15 +313,15 @@ def test_a_face_that_comes_out_of_its_shade_has_to_agree_and_makes_no_other_face
     day.minutes(40)
     day.share = [1.0, left, 1.0, 1.0]
     day.minutes(60)
-    assert day.doubted() == [1]
+    assert day.implausible_faces() == [1]
     day.share = [1.0] * 4
     day.minutes(25)
-    assert day.doubted() == [1], "to leave the shade at once is a change, and no agreement of half an hour"
+    assert day.implausible_faces() == [1], "to leave the shade at once is a change, and no agreement of half an hour"
     day.minutes(50)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
     day.share = [1.0, left, 1.0, 1.0]
     day.minutes(60)
-    assert day.doubted() == [1]
+    assert day.implausible_faces() == [1]
 
 
 @pytest.mark.parametrize("hours", [9.0, -12.0, -3.0, 2.0 / 3.0])
@@ -337,13 +337,13 @@ def test_no_face_is_doubted_while_the_clock_is_set_wrong_for_hours(hours):
 def test_faces_doubted_because_of_a_wrong_clock_are_used_again_once_it_is_synchronised():
     day = WatchedDay(MORNING_UTC_S, off_s=-4 * 3600.0)
     day.minutes(60)
-    assert day.doubted()
+    assert day.implausible_faces()
     day.clock.off_s = 0.0
     day.minutes(60)
-    assert day.doubted(), "nothing confirms the new time"
+    assert day.implausible_faces(), "nothing confirms the new time"
     day.synchronised = True
     day.minutes(2)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
     assert day.minutes(60) == [None] * 4
     assert day.alarms.active == ()
     assert day.minutes(15, frozen=3, at_w_m2=1800.0)[3] is not None
@@ -364,20 +364,20 @@ def test_no_face_is_used_while_no_light_explains_the_four_until_they_agree():
     day.in_cloud_w_m2 = 750.0
     day.order = [1, 0, 2, 3]
     day.minutes(60)
-    assert day.doubted() == [0, 1, 2, 3]
+    assert day.implausible_faces() == [0, 1, 2, 3]
     (alarm,) = day.alarms.active
     assert "what no light explains" in alarm.text
     day.order = [0, 1, 2, 3]
     day.minutes(60)
-    assert day.doubted() == []
+    assert day.implausible_faces() == []
 
 
 def test_of_faces_that_no_light_explains_the_frozen_one_is_named_and_the_others_are_used_again():
     day = WatchedDay(MORNING_UTC_S - 3 * 3600.0)
     day.minutes(150, frozen=1, at_w_m2=400.0)
-    assert day.doubted() == [0, 1, 2, 3], "until the sun has reached the south face"
+    assert day.implausible_faces() == [0, 1, 2, 3], "until the sun has reached the south face"
     day.minutes(40, frozen=1, at_w_m2=400.0)
-    assert day.doubted() == [1]
+    assert day.implausible_faces() == [1]
     (alarm,) = day.alarms.active
     assert "the same while the light changes on the others" in alarm.text
 
@@ -387,7 +387,7 @@ def test_a_dead_face_is_not_used_again_because_the_day_has_grown_too_dark_to_tel
     day.minutes(8, frozen=1, at_w_m2=0.0)
     day.share = [0.02] * 4
     day.minutes(20, frozen=1, at_w_m2=0.0)
-    assert day.doubted() == [1], "darkness is no agreement"
+    assert day.implausible_faces() == [1], "darkness is no agreement"
 
 
 def test_a_face_stuck_at_a_level_is_named_in_the_night():
@@ -397,4 +397,4 @@ def test_a_face_stuck_at_a_level_is_named_in_the_night():
     (alarm,) = day.alarms.active
     assert "the south face reads light in the night while the others are dark" in alarm.text
     day.minutes(30)
-    assert day.doubted() == [1], "darkness is no agreement"
+    assert day.implausible_faces() == [1], "darkness is no agreement"

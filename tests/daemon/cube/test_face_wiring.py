@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode, Quality
-from tests.support.rig import HandWeather
+from tests.support.rig import ManualWeather
 
 
 def qualities(rig):
@@ -26,7 +26,7 @@ def stick_all(rig):
         rig.switch.stick(bit, True, rig.clock.monotonic())
 
 
-@pytest.mark.parametrize("weather", [HandWeather(), HandWeather(dni=0, dhi=150), HandWeather(dni=0, dhi=20)])
+@pytest.mark.parametrize("weather", [ManualWeather(), ManualWeather(dni=0, dhi=150), ManualWeather(dni=0, dhi=20)])
 @pytest.mark.parametrize(("bit", "high"), [(0, False), (0, True), (1, False), (1, True), (2, True)])
 def test_a_stuck_address_line_is_found_within_ten_minutes(run_rig, bit, high, weather):
     async def scenario(rig):
@@ -101,7 +101,7 @@ def test_an_open_input_that_repeats_the_face_read_before_it_is_found_in_the_sun(
 
 @pytest.mark.parametrize(
     ("weather", "start", "hours"),
-    [(HandWeather(), "2022-10-12T06:00", 4), (HandWeather(dni=0, dhi=8), "2022-10-12T14:30", 3)],
+    [(ManualWeather(), "2022-10-12T06:00", 4), (ManualWeather(dni=0, dhi=8), "2022-10-12T14:30", 3)],
 )
 def test_a_sound_cube_raises_no_alarm_through_dawn_and_dusk(run_rig, weather, start, hours):
     async def scenario(rig):

@@ -9,7 +9,7 @@ from daemon.config.settings import Settings
 from daemon.cube.face_watch import FaceWatch
 from tests.measurements import face_weeks
 from tests.measurements.face_weeks import LYNGBY, Week
-from tests.support.watched_day import Hand
+from tests.support.watched_day import SettableClock
 
 WEST, ZENITH = 2, 3
 DAWN = datetime(2016, 6, 9, 4, 45, tzinfo=UTC).timestamp()
@@ -23,7 +23,7 @@ def week(measured):
 
 def doubted(week, faces, from_utc_s, until_utc_s):
     """Return the faces that a watch doubts at any time."""
-    clock, found = Hand(from_utc_s), set()
+    clock, found = SettableClock(from_utc_s), set()
     site = Settings().site.model_copy(update=LYNGBY._asdict())
     watch = FaceWatch(site, Settings().cube, clock, Alarms(clock, lambda _record: None))
     for utc_s, row in zip(week.utc_s.tolist(), faces.tolist(), strict=True):

@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.records import FaceReading, Quality, Scan
-from daemon.cube.told_faces import ToldFaces, UnreadFaces
+from daemon.cube.told_faces import RemoteFaceAlarm, UnreadFaceAlarm
 
 GOOD = FaceReading(400.0, Quality.OK, 0.0, 0.0)
 LIES = GOOD._replace(quality=Quality.IMPLAUSIBLE)
@@ -54,14 +54,14 @@ def listening(alarms, clock, faces):
 def told(clock):
     events = []
     alarms = Alarms(clock, events.append)
-    scans = listening(alarms, clock, ToldFaces(alarms, clock))
+    scans = listening(alarms, clock, RemoteFaceAlarm(alarms, clock))
     scans.raised = lambda: sum(event.text.startswith("raised ") for event in events)
     return scans
 
 
 @pytest.fixture
 def unread(alarms, clock):
-    return listening(alarms, clock, UnreadFaces(alarms, clock))
+    return listening(alarms, clock, UnreadFaceAlarm(alarms, clock))
 
 
 def test_an_implausible_face_is_reported_after_a_minute_and_until_it_agrees_again(told):

@@ -9,7 +9,7 @@ import pytest
 from daemon.base.addresses import parse_address
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve, settings_of_file
 from tests.daemon.dashboard.house import NAMES, OTHER, TOKEN, in_house
@@ -357,7 +357,7 @@ def test_the_dashboard_ends_when_following_the_services_fails_instead_of_showing
 
     monkeypatch.setattr("daemon.dashboard.upstream.aconnect_sse", broken)
     bound = bind("127.0.0.1:0")
-    notifier = Notifier({}, os.getpid())
+    notifier = SystemdNotifier({}, os.getpid())
     ends = asyncio.wait_for(serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), notifier), 20.0)
     with pytest.raises(ExceptionGroup) as ended:
         asyncio.run(ends)

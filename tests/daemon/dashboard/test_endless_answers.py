@@ -11,7 +11,7 @@ from daemon.dashboard.app import Dashboard
 from daemon.dashboard.upstream import Fleet
 from tests.daemon.dashboard.house import PAGE, TOKEN
 from tests.support import PATIENCE_S
-from tests.support.endless import ACCEPTED, TAKEN, sent_to
+from tests.support.endless import ACCEPTED, MOST_BYTES_SENT, ask_endless_server
 
 
 def test_an_endless_event_stream_is_read_no_further_than_the_length_that_a_state_may_have():
@@ -25,7 +25,7 @@ def test_an_endless_event_stream_is_read_no_further_than_the_length_that_a_state
             following.cancel()
             await asyncio.wait((following,))
 
-    assert asyncio.run(sent_to(ask, "text/event-stream"))[1] < TAKEN
+    assert asyncio.run(ask_endless_server(ask, "text/event-stream"))[1] < MOST_BYTES_SENT
 
 
 def test_any_other_endless_answer_is_read_no_further_than_the_length_that_an_answer_may_have():
@@ -42,11 +42,11 @@ def test_any_other_endless_answer_is_read_no_further_than_the_length_that_an_ans
                     await browser.get("/read/days", params={"service": address}),
                 ]
 
-    (order, to_all, read), taken = asyncio.run(sent_to(ask))
+    (order, to_all, read), taken = asyncio.run(ask_endless_server(ask))
     sentence = "the program that answers is not a service of heliocube: see dashboard.services"
     assert [(reply.status_code, reply.json()) for reply in (order, read)] == [(502, {"error": sentence})] * 2
     assert to_all.json()["results"][0]["text"] == sentence
-    assert taken < 2 * TAKEN
+    assert taken < 2 * MOST_BYTES_SENT
 
 
 def test_an_order_is_given_up_though_its_answer_trickles_on_for_ever():

@@ -16,7 +16,7 @@ import pytest
 
 from daemon.base.addresses import parse_address
 from daemon.base.clock import SystemClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.dashboard.app import STATIC
 from daemon.dashboard.serve import bind, serve
@@ -53,7 +53,7 @@ def test_a_flood_of_silent_connections_keeps_out_neither_new_requests_nor_open_p
         bound = bind("127.0.0.1:0")
         address = bound.getsockname()
         serving = asyncio.create_task(
-            serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), Notifier({}, os.getpid()))
+            serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), SystemdNotifier({}, os.getpid()))
         )
         listening = await asyncio.open_connection(*address)
         listening[1].write(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
@@ -116,7 +116,7 @@ def test_connections_without_a_whole_request_are_closed_and_keep_nobody_out_for_
         bound = bind("127.0.0.1:0")
         address = bound.getsockname()
         serving = asyncio.create_task(
-            serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), Notifier({}, os.getpid()))
+            serve(bound, [parse_address("127.0.0.1:9")], [], SystemClock(), SystemdNotifier({}, os.getpid()))
         )
         held = [await asyncio.open_connection(*address) for _ in range(250)]
         for reader, writer in held:

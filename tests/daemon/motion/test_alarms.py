@@ -85,13 +85,13 @@ def test_a_motor_that_stays_on_is_stopped_at_once_and_again_after_ever_longer_pa
         currents.update(look(float(time_s), b=0.5), 0.0)
         if currents.wants_stop:
             stops_s.append(time_s)
-            currents.stopped(float(time_s))
+            currents.note_stop(float(time_s))
     assert stops_s == [11, 13, 17, 25, 41, 73, 137, 201, 265, 329, 393]
     currents.update(look(500.0), 0.0)
     for time_s in (501.0, 501.9, 502.0, 503.9, 504.0):
         currents.update(look(time_s, b=0.5), 0.0)
         assert currents.wants_stop is (time_s in (502.0, 504.0)), time_s
-        currents.stopped(time_s)
+        currents.note_stop(time_s)
 
 
 def test_an_axis_that_a_person_drives_by_the_button_is_not_stopped_for_its_current():

@@ -5,18 +5,18 @@ import asyncio
 import pytest
 
 from tests.daemon.tracker.days import operator
-from tests.support.motion import A_PACKET, STOP_PACKET, commands_sent, targets
-from tests.support.phases import at_rest, tracking
+from tests.support.motion import A_PACKET, STOP_PACKET, commands_sent, target_packets
+from tests.support.phases import wait_for_rest, wait_for_tracking
 
 
 async def between(rig, monkeypatch):
     """Give a goto, and return when A has its target and B has not: with the packets sent since, and the goto's task."""
-    await tracking(rig)
-    await at_rest(rig)
+    await wait_for_tracking(rig)
+    await wait_for_rest(rig)
     sent = commands_sent(rig, monkeypatch)
     giving = asyncio.create_task(operator(rig).goto(40, 30, "test"))
-    await rig.until(lambda: targets(sent), 10.0, "the target of A", every_s=0.02)
-    (target,) = targets(sent)
+    await rig.until(lambda: target_packets(sent), 10.0, "the target of A", every_s=0.02)
+    (target,) = target_packets(sent)
     assert target.startswith(A_PACKET)
     return sent, giving
 
@@ -47,6 +47,6 @@ def test_a_stop_a_lost_link_or_a_sleep_between_the_targets_of_a_and_b_stops_both
         assert rig.truth() == stands
         assert sent[-1][1].startswith(STOP_PACKET)
         # A driver does not notice a sleep: its second target goes out, and the stop soon after it.
-        assert len(targets(sent)) == (1 if what is stop else 2)
+        assert len(target_packets(sent)) == (1 if what is stop else 2)
 
     run_rig(scenario)

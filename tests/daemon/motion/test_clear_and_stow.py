@@ -6,10 +6,10 @@ import pytest
 
 from daemon.base.records import Target
 from drivers.errors import RefusedError
-from tests.support.hand_positioner import HandPositioner, asleep, run_motion
+from tests.support.hand_positioner import FakePositioner, run_motion, wait_out_standstill
 
 
-class SlowToClear(HandPositioner):
+class SlowToClear(FakePositioner):
     """A unit that shows its status every few seconds, and only then that it has cleared it; a stop ends the wait."""
 
     async def clear_faults(self, *, forgive=True):
@@ -28,7 +28,7 @@ class SlowToClear(HandPositioner):
 @pytest.mark.parametrize("ahead", [False, True])
 def test_a_stow_does_not_wait_for_a_clear_that_takes_its_time(ahead):
     async def scenario(rig):
-        await asleep(rig)
+        await wait_out_standstill(rig)
         rig.unit.put(12.0, 60.0)
         await rig.until(lambda: rig.motion.doubt)
         doubt = rig.motion.doubt
@@ -40,7 +40,7 @@ def test_a_stow_does_not_wait_for_a_clear_that_takes_its_time(ahead):
         assert rig.unit.place() == (0.0, 90.0)
         await asyncio.sleep(10.0)
         assert rig.motion.doubt == doubt, "a person says it again"
-        (told,) = [text for text in rig.told if "cleared" in text]
+        (told,) = [text for text in rig.positioner_events if "cleared" in text]
         assert told == "nothing was cleared: a stow came first"
 
     run_motion(scenario, make=SlowToClear)
@@ -48,9 +48,9 @@ def test_a_stow_does_not_wait_for_a_clear_that_takes_its_time(ahead):
 
 def test_a_slow_clear_goes_on_when_the_stow_needs_it_or_the_order_is_no_stow():
     async def scenario(rig):
-        await asleep(rig)
+        await wait_out_standstill(rig)
         for says, stow in (({}, False), ({"was_reset": True}, True)):
-            rig.unit.says |= says
+            rig.unit.telemetry_overrides |= says
             await asyncio.sleep(2.0)
             rig.motion.clear_faults()
             await asyncio.sleep(1.0)
@@ -60,6 +60,6 @@ def test_a_slow_clear_goes_on_when_the_stow_needs_it_or_the_order_is_no_stow():
             await rig.until(lambda: rig.motion.target, 5.0)
             assert rig.motion.doubt is None
             await rig.until(lambda: rig.motion.target is None)
-        assert not [text for text in rig.told if "nothing was cleared" in text]
+        assert not [text for text in rig.positioner_events if "nothing was cleared" in text]
 
     run_motion(scenario, make=SlowToClear)

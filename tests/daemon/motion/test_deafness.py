@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.records import Target
 from drivers.settings import PositionerSettings
-from tests.support.hand_positioner import DEAF_S, HandPositioner, run_motion
+from tests.support.hand_positioner import DEAF_S, FakePositioner, run_motion
 
 
 def test_a_positioner_that_does_not_obey_stop_is_reported_after_five_seconds_and_stopped_repeatedly():
@@ -18,9 +18,9 @@ def test_a_positioner_that_does_not_obey_stop_is_reported_after_five_seconds_and
         rig.unit.is_deaf = True
         asked_s = rig.clock.monotonic()
         await rig.motion.stop()
-        await rig.until(lambda: "deaf-to-stop" in rig.raised, 12.0)
+        await rig.until(lambda: "deaf-to-stop" in rig.active_alarms, 12.0)
         assert 5.0 < rig.clock.monotonic() - asked_s < 9.0
-        assert rig.raised["deaf-to-stop"].startswith(
+        assert rig.active_alarms["deaf-to-stop"].startswith(
             "the positioner does not obey stop: switch off the supply of its motors; nothing moves until"
         )
         halts = [rig.unit.sent.count("halt")]
@@ -31,7 +31,7 @@ def test_a_positioner_that_does_not_obey_stop_is_reported_after_five_seconds_and
         rig.unit.is_deaf = False
         await asyncio.sleep(8.0)
         assert rig.motion.stands_since_s is not None
-        assert "deaf-to-stop" in rig.raised, "until a person has looked"
+        assert "deaf-to-stop" in rig.active_alarms, "until a person has looked"
 
     run_motion(scenario)
 
@@ -50,7 +50,7 @@ def test_tries_to_stop_come_at_once_and_then_ever_more_slowly():
         await asyncio.sleep(30.0)
         pauses_s = [after - before - DEAF_S for before, after in itertools.pairwise(at_s)]
         assert pauses_s[:6] == pytest.approx([0.5, 1.0, 2.0, 4.0, 4.0, 4.0])
-        assert "deaf-to-stop" not in rig.raised, "nothing moves"
+        assert "deaf-to-stop" not in rig.active_alarms, "nothing moves"
         assert rig.motion.stands_since_s is None, "a stop is on its way"
 
     run_motion(scenario)
@@ -59,15 +59,15 @@ def test_tries_to_stop_come_at_once_and_then_ever_more_slowly():
 def test_motion_under_a_pressed_button_does_not_count_as_deafness_to_stop():
     async def scenario(rig):
         rig.unit.is_deaf = True
-        rig.unit.says["button_pressed"] = True
+        rig.unit.telemetry_overrides["button_pressed"] = True
         rig.unit.drive(40.0, 60.0)
         rig.motion.freeze("ana")
         await asyncio.sleep(12.0)
-        assert "deaf-to-stop" not in rig.raised
-        rig.unit.says.clear()
+        assert "deaf-to-stop" not in rig.active_alarms
+        rig.unit.telemetry_overrides.clear()
         await asyncio.sleep(4.0)
-        assert "deaf-to-stop" not in rig.raised
-        await rig.until(lambda: "deaf-to-stop" in rig.raised, 6.0)
+        assert "deaf-to-stop" not in rig.active_alarms
+        await rig.until(lambda: "deaf-to-stop" in rig.active_alarms, 6.0)
 
     run_motion(scenario)
 
@@ -90,7 +90,7 @@ def test_a_single_look_that_shows_motion_late_does_not_count_as_deafness_to_stop
         await rig.until(lambda: len(looks) > 1 and looks[-2] > asked_s + 5.6, 12.0)
         rig.unit.put(*rig.unit.place())
         await asyncio.sleep(12.0)
-        assert "deaf-to-stop" not in rig.raised
+        assert "deaf-to-stop" not in rig.active_alarms
 
     run_motion(scenario)
 
@@ -100,7 +100,7 @@ class CoarseSettings(PositionerSettings):
         return 1.0
 
 
-class CoarsePositioner(HandPositioner):
+class CoarsePositioner(FakePositioner):
     """Turns at 2 deg/s like the other, but reports whole degrees: between two looks it may seem to stand."""
 
     async def read_telemetry(self):
@@ -114,7 +114,7 @@ def test_a_slow_axis_whose_position_is_coarse_is_found_deaf_too():
         rig.unit.is_deaf = True
         rig.unit.drive(45.0, 60.0)
         rig.motion.freeze("ana")
-        await rig.until(lambda: "deaf-to-stop" in rig.raised, 14.0)
+        await rig.until(lambda: "deaf-to-stop" in rig.active_alarms, 14.0)
 
     run_motion(scenario, expected=CoarseSettings(), make=CoarsePositioner)
 
@@ -126,6 +126,6 @@ def test_a_standing_positioner_that_is_shaken_now_and_then_does_not_count_as_dea
         for place in range(4):
             await asyncio.sleep(16.0)
             rig.unit.put(place % 2 * 3.0, 60.0)
-        assert "deaf-to-stop" not in rig.raised, "shaken once in a while"
+        assert "deaf-to-stop" not in rig.active_alarms, "shaken once in a while"
 
     run_motion(scenario, expected=CoarseSettings(), make=CoarsePositioner)

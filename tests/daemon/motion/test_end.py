@@ -5,14 +5,14 @@ import asyncio
 import pytest
 
 from daemon.base.records import Target
-from daemon.motion.end import finish
-from tests.support.hand_positioner import HandPositioner, run_motion
+from daemon.motion.end import stop_and_confirm
+from tests.support.hand_positioner import FakePositioner, run_motion
 
 SENT = "stop was sent, and no telemetry has shown the axes standing since"
 
 
 async def ended(rig, within_s=3.0):
-    return await finish(rig.motion, rig.clock, within_s)
+    return await stop_and_confirm(rig.motion, rig.clock, within_s)
 
 
 async def under_way(rig):
@@ -26,7 +26,7 @@ def test_the_end_stops_a_moving_axis_and_waits_until_it_is_seen_to_stand():
         start_s = rig.clock.monotonic()
         assert await ended(rig) is None
         assert rig.motion.telemetry.time_monotonic_s >= start_s
-        assert rig.motion.resting
+        assert rig.motion.is_idle
         assert rig.motion.stands_since_s is not None
         assert 3.0 < rig.unit.place()[0] < 9.0
         assert rig.motion._guard.frozen == "the service ends"
@@ -45,7 +45,7 @@ def test_the_end_looks_once_more_at_a_standing_positioner():
     run_motion(scenario)
 
 
-class SlowPositioner(HandPositioner):
+class SlowPositioner(FakePositioner):
     """The same, but each reading of telemetry takes a while."""
 
     async def read_telemetry(self):

@@ -7,8 +7,8 @@ import pytest
 from daemon.base.records import Mode, Target
 from daemon.service.operator import CommandError, Operator
 from drivers.positioners.pozsol.wire import Field
-from tests.support.motion import commands_sent, drive, moves_for, targets
-from tests.support.phases import at_rest, quiet, told
+from tests.support.motion import commands_sent, motion_duration_s, send_foreign_command, target_packets
+from tests.support.phases import positioner_events, wait_for_long_rest, wait_for_rest
 
 MET = "met its end switch where its count was"
 
@@ -25,7 +25,7 @@ async def homed(rig):
 
 
 async def knows_where_it_stands(rig):
-    await at_rest(rig)
+    await wait_for_rest(rig)
     await asyncio.sleep(5)
     told = rig.motion.telemetry
     assert (told.a_deg, told.b_deg) == pytest.approx(tuple(rig.truth()), abs=0.3)
@@ -54,7 +54,7 @@ async def stuck_on_its_way(rig):
 @pytest.mark.parametrize("axis", ["a", "b"])
 def test_a_count_that_slipped_is_right_again_after_two_reference_runs(run_rig, axis):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         await slipped_on_its_way(rig, axis)
         assert f"axis {axis.upper()} {MET}" in rig.motion.doubt
         await homed(rig)
@@ -67,7 +67,7 @@ def test_a_count_that_slipped_is_right_again_after_two_reference_runs(run_rig, a
 @pytest.mark.parametrize("drives", ["its own tracking", "another program"])
 def test_foreign_motion_of_an_axis_on_its_way_off_the_end_switch_is_stopped_and_reported(run_rig, drives):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         await slipped_on_its_way(rig, "a")
         home_deg = rig.truth().a_deg
         rig.motion.home()
@@ -75,10 +75,10 @@ def test_foreign_motion_of_an_axis_on_its_way_off_the_end_switch_is_stopped_and_
         if drives == "its own tracking":
             rig.unit.inject("own_tracking", rig.clock.monotonic())
         else:
-            drive(rig, Field.A_ANGLE, 200.0)
-        assert await moves_for(rig, 20.0) < 2.0
+            send_foreign_command(rig, Field.A_ANGLE, 200.0)
+        assert await motion_duration_s(rig, 20.0) < 2.0
         assert rig.truth().a_deg < home_deg + 3.0
-        (refusal,) = [text for text in told(rig) if text.startswith("homing refused")]
+        (refusal,) = [text for text in positioner_events(rig) if text.startswith("homing refused")]
         assert "did not leave the end switch of axis A: it" in refusal
         rig.unit.repair("own_tracking", rig.clock.monotonic())
         await asyncio.sleep(10)
@@ -92,7 +92,7 @@ def test_foreign_motion_of_an_axis_on_its_way_off_the_end_switch_is_stopped_and_
 @pytest.mark.parametrize("offset", [0.0, 8.0])
 def test_an_end_switch_that_sticks_during_a_reference_run_is_never_believed(run_rig, offset):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         stood = await stuck_on_its_way(rig)
         await homed(rig)
         assert 4.0 < rig.truth().b_deg - stood < 7.0, "it was driven off the switch"
@@ -110,7 +110,7 @@ def test_an_end_switch_that_sticks_during_a_reference_run_is_never_believed(run_
 
 def test_a_clear_given_before_count_and_switch_contradict_does_not_forgive_the_contradiction(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.power_cycle(rig.clock.monotonic())
         await rig.until(lambda: rig.motion.doubt, 15, "the mark of the restart")
         began_deg = rig.truth().b_deg
@@ -131,12 +131,12 @@ def test_a_clear_given_before_count_and_switch_contradict_does_not_forgive_the_c
 
 def test_near_its_upper_limit_an_axis_does_not_leave_a_switch_that_may_be_stuck(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         await rig.control.stop("a test")
         rig.control.auto()
         rig.motion.order(Target(0.0, 90.0, "flat"), stow=True)
         await rig.until(lambda: rig.truth().b_deg > 89.5, 200, "it lies flat")
-        await at_rest(rig)
+        await wait_for_rest(rig)
         stood = await stuck_on_its_way(rig)
         assert stood > 86.0
         await homed(rig)
@@ -148,9 +148,9 @@ def test_near_its_upper_limit_an_axis_does_not_leave_a_switch_that_may_be_stuck(
 
 def test_a_count_that_slipped_at_rest_is_homed_before_anything_moves_by_it(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("b_slip", rig.clock.monotonic())
-        await rig.until(lambda: rig.motion.unexplained, 10, "what shows of it")
+        await rig.until(lambda: rig.motion.unexplained_motion, 10, "what shows of it")
         person = Operator(rig.tracker, 1.0)
         with pytest.raises(
             CommandError, match=r"'heliocube clear'; give 'heliocube hold' first, so that the tracker waits"
@@ -158,7 +158,7 @@ def test_a_count_that_slipped_at_rest_is_homed_before_anything_moves_by_it(run_r
             await person.home("the angles are not those of the arms")
         await person.hold("the angles are not those of the arms")
         assert (await person.clear("nobody is there")).done
-        assert await moves_for(rig, 400) == 0.0, "it would have been moved by the wrong count"
+        assert await motion_duration_s(rig, 400) == 0.0, "it would have been moved by the wrong count"
         for _ in range(2):
             await homed(rig)
         assert rig.motion.doubt is None
@@ -172,13 +172,13 @@ def test_a_count_that_slipped_at_rest_is_homed_before_anything_moves_by_it(run_r
 
 def test_a_fault_while_an_axis_leaves_its_switch_ends_the_run_as_soon_as_it_shows(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         stood = await stuck_on_its_way(rig)
         rig.motion.home()
         await rig.until(lambda: rig.truth().b_deg > stood + 0.5, 120, "axis B leaving its switch")
         rig.unit.inject("b_overcurrent", rig.clock.monotonic())
         await rig.until(lambda: not rig.motion.homing, 8, "the end of the run")
-        assert "it reports b_overcurrent" in told(rig)[-1]
+        assert "it reports b_overcurrent" in positioner_events(rig)[-1]
         assert "homing was not finished" in rig.motion.doubt
 
     run_rig(scenario, motion={"rehome": "operator"})
@@ -186,13 +186,13 @@ def test_a_fault_while_an_axis_leaves_its_switch_ends_the_run_as_soon_as_it_show
 
 def test_a_stow_does_not_wait_for_an_axis_to_leave_its_switch(run_rig, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         stood = await stuck_on_its_way(rig)
         rig.motion.home()
         await rig.until(lambda: rig.truth().b_deg > stood + 0.5, 120, "axis B leaving its switch")
         sent = commands_sent(rig, monkeypatch)
         rig.wind_m_s = 25.0
-        await rig.until(lambda: targets(sent), 2.5, "the way to the stow position")
-        assert "homing was stopped before its end" in told(rig)
+        await rig.until(lambda: target_packets(sent), 2.5, "the way to the stow position")
+        assert "homing was stopped before its end" in positioner_events(rig)
 
     run_rig(scenario, motion={"rehome": "operator"})

@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.records import MoveOutcome, Target
-from daemon.motion.watch import Watch
+from daemon.motion.watch import AxisWatch
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import PositionerWatch
 from drivers.positioners.pozsol.wire import TokenStream
 from drivers.settings import PositionerSettings
-from tests.support.hand_positioner import HandPositioner, run_motion
+from tests.support.hand_positioner import FakePositioner, run_motion
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)
@@ -45,18 +45,18 @@ def strays(screens, cut):
     clock = [STARTS_S]
     stream, table = TokenStream(), FieldTable()
     unit = PositionerWatch(lambda: clock[0], {"a": A, "b": B}, 2.0, None)
-    watch, told = Watch(PositionerSettings(position_unit="mm")), []
+    watch, told = AxisWatch(PositionerSettings(position_unit="mm")), []
     for at, screen in enumerate(screens):
         clock[0] = STARTS_S + SCREEN_S * at
         for piece in (screen[:cut], screen[cut:]):
-            table.take(stream.cut(piece), clock[0])
+            table.take(stream.feed_tokens(piece), clock[0])
             if at < 12:
                 continue
             look = unit.read(LinkState(table.snapshot(), jumped_s=table.jumped_s))
             if at == 12:
-                watch.rest(look)
-            elif stray := watch.update(look):
-                told.append(stray)
+                watch.note_rest(look)
+            elif anomaly := watch.update(look):
+                told.append(anomaly)
     return told
 
 
@@ -66,7 +66,7 @@ def test_a_jump_of_the_count_is_reported_as_a_jump_and_never_as_motion_wherever_
     changed = sum(was != now for was, now in zip((8.0, 15.0), jumps, strict=True))
     for cut in range(60):
         told = strays(screens, cut)
-        assert [stray.jump for stray in told] == [True] * changed, (cut, told)
+        assert [anomaly.is_count_jump for anomaly in told] == [True] * changed, (cut, told)
 
 
 @pytest.mark.parametrize("moves", [(68.5, 15.0), (68.0, 15.5)])
@@ -74,13 +74,13 @@ def test_an_axis_that_moves_right_after_a_jump_of_the_count_is_reported(moves):
     screens = [*turn(8.0, 15.0) * 3, *turn(68.0, 15.0) * 2, *turn(*moves) * 2]
     for cut in range(60):
         told = strays(screens, cut)
-        assert told[0].jump, cut
+        assert told[0].is_count_jump, cut
         assert len(told) > 1, cut
-        assert not any(stray.jump for stray in told[1:]), (cut, told)
+        assert not any(anomaly.is_count_jump for anomaly in told[1:]), (cut, told)
         assert "moved from" in told[1].text
 
 
-class LatePositioner(HandPositioner):
+class LatePositioner(FakePositioner):
     """Answers every third look after three seconds, with where it stands by then."""
 
     async def read_telemetry(self):
@@ -94,7 +94,7 @@ def test_motion_of_an_axis_during_a_late_answer_is_not_taken_for_a_jump_of_the_c
     async def scenario(rig):
         rig.motion.order(Target(-40.0, 60.0, "test"))
         await rig.until(lambda: rig.moves and rig.moves[-1].outcome is MoveOutcome.ARRIVED, 120.0)
-        assert not rig.told
+        assert not rig.positioner_events
 
     run_motion(scenario, make=LatePositioner)
 

@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.records import MoveOutcome, Target
 from drivers.errors import DriverHungError, LinkLostError, RefusedError
-from tests.support.hand_positioner import HandPositioner, run_motion
+from tests.support.hand_positioner import FakePositioner, run_motion
 
 
 def test_before_the_first_contact_moves_reference_runs_and_clears_are_refused():
@@ -31,11 +31,11 @@ def test_a_stop_that_cannot_be_sent_raises_an_error_and_is_sent_when_the_link_is
         rig.unit.is_lost = True
         with pytest.raises(LinkLostError):
             await rig.motion.stop()
-        assert not rig.motion.resting
+        assert not rig.motion.is_idle
         rig.unit.is_lost = False
         await asyncio.sleep(10.0)
         assert "halt" in rig.unit.sent[-2:]
-        assert rig.motion.resting
+        assert rig.motion.is_idle
 
     run_motion(scenario)
 
@@ -46,7 +46,7 @@ def test_orders_from_before_a_lost_link_are_forgotten_and_a_dropped_clear_is_rep
         rig.motion.order(Target(40.0, 60.0, "far"))
         rig.motion.clear_faults()
         await rig.until(lambda: not rig.motion.connected, 3.0)
-        assert "nothing was cleared: the positioner was lost first" in rig.told
+        assert "nothing was cleared: the positioner was lost first" in rig.positioner_events
         rig.unit.is_lost = False
         await asyncio.sleep(20.0)
         rig.unit.is_lost = True
@@ -56,7 +56,7 @@ def test_orders_from_before_a_lost_link_are_forgotten_and_a_dropped_clear_is_rep
         await asyncio.sleep(20.0)
         assert not rig.moves
         assert not [sent for sent in rig.unit.sent if sent[0] in ("clear", "home")]
-        assert rig.told.count("nothing was cleared: the positioner was lost first") == 1
+        assert rig.positioner_events.count("nothing was cleared: the positioner was lost first") == 1
 
     run_motion(scenario)
 
@@ -70,7 +70,7 @@ def test_after_a_lost_link_the_pose_is_compared_with_the_pose_before_it(place, j
         await asyncio.sleep(10.0)
         rig.unit.is_lost = True
         await asyncio.sleep(3.0)
-        assert not rig.motion.resting, "nobody knows"
+        assert not rig.motion.is_idle, "nobody knows"
         rig.unit.put(*place)
         rig.unit.is_lost = False
         await asyncio.sleep(15.0)
@@ -81,10 +81,10 @@ def test_after_a_lost_link_the_pose_is_compared_with_the_pose_before_it(place, j
             text = f"{stands}; before the loss it stood at A 10.0, B 60.0"
             assert doubt.startswith(text)
             assert doubt.endswith(": compare the angles with the arms, then clear or home it")
-            assert sum(told.startswith(text) for told in rig.told) == 1
+            assert sum(told.startswith(text) for told in rig.positioner_events) == 1
 
     def at_ten(clock):
-        unit = HandPositioner(clock)
+        unit = FakePositioner(clock)
         unit.put(10.0, 60.0)
         return unit
 
@@ -92,7 +92,7 @@ def test_after_a_lost_link_the_pose_is_compared_with_the_pose_before_it(place, j
 
 
 def test_a_second_loss_during_the_first_halt_leaves_the_earlier_pose_to_be_compared():
-    class LostAgain(HandPositioner):
+    class LostAgain(FakePositioner):
         breaks_off = False
 
         async def halt(self):
@@ -134,12 +134,12 @@ def test_an_axis_that_was_under_way_when_the_link_was_lost_may_stand_elsewhere_w
 
 def test_the_first_connection_is_logged_and_a_later_loss_and_return_are_reported(caplog):
     async def scenario(rig):
-        assert not rig.told
+        assert not rig.positioner_events
         rig.unit.is_lost = True
         await asyncio.sleep(3.0)
         rig.unit.is_lost = False
         await asyncio.sleep(10.0)
-        assert rig.told == [
+        assert rig.positioner_events == [
             "the positioner is down: hand: does not answer",
             "the positioner is back: board, firmware 1, serial 7",
         ]

@@ -7,15 +7,23 @@ import pytest
 
 from daemon.base.records import Event, Mode, MoveOutcome, Target
 from drivers.errors import RefusedError
-from tests.support.motion import B_PACKET, STOP_PACKET, TRACKING_OFF_PACKET, commands_sent, moves_for, show, targets
-from tests.support.phases import at_rest, now, quiet, tracking, under_way
+from tests.support.motion import (
+    B_PACKET,
+    STOP_PACKET,
+    TRACKING_OFF_PACKET,
+    commands_sent,
+    motion_duration_s,
+    override_telemetry,
+    target_packets,
+)
+from tests.support.phases import now, wait_for_long_rest, wait_for_move, wait_for_rest, wait_for_tracking
 
 
 @pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
 @pytest.mark.parametrize("stow", [False, True])
 def test_motion_refuses_a_target_outside_the_limits(run_rig, monkeypatch, target, stow):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         sent = commands_sent(rig, monkeypatch)
         with pytest.raises(ValueError, match="outside the limits"):
             rig.motion.order(Target(*target, "test"), stow=stow)
@@ -27,7 +35,7 @@ def test_motion_refuses_a_target_outside_the_limits(run_rig, monkeypatch, target
 
 def test_a_stow_goes_ahead_with_the_reference_in_doubt_and_an_ordinary_move_does_not(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.power_cycle(now(rig))
         await asyncio.sleep(2)
         with pytest.raises(RefusedError, match="restarted"):
@@ -41,11 +49,11 @@ def test_a_stow_goes_ahead_with_the_reference_in_doubt_and_an_ordinary_move_does
 
 def test_a_stow_goes_on_when_the_reference_is_lost_on_its_way_and_an_ordinary_move_ends(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         for stow, outcome in ((False, MoveOutcome.STALLED), (True, MoveOutcome.ARRIVED)):
             rig.motion.order(Target(0, 90 if stow else 20, "test"), stow=stow)
             await asyncio.sleep(2)
-            show(rig, reference_doubt="the count jumped")
+            override_telemetry(rig, reference_doubt="the count jumped")
             await rig.until(lambda: rig.motion.target is None, 120, "the end of the move")
             assert rig.motion.last_move.outcome is outcome
             assert rig.motion.doubt
@@ -58,7 +66,7 @@ def test_a_stow_goes_on_when_the_reference_is_lost_on_its_way_and_an_ordinary_mo
 
 def test_no_ordinary_move_is_accepted_while_homing(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion.home()
         await asyncio.sleep(5)
         with pytest.raises(RefusedError, match="while homing"):
@@ -70,11 +78,11 @@ def test_no_ordinary_move_is_accepted_while_homing(run_rig):
 
 def test_an_order_replaces_a_reference_run_that_was_asked_for_and_has_not_begun(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion.home()
         rig.motion.order(Target(0, 60, "test"))
         await asyncio.sleep(60)
-        assert not [event for event in rig.of(Event) if event.text == "homing"]
+        assert not [event for event in rig.records_of(Event) if event.text == "homing"]
         assert rig.motion.last_move.target_b_deg == 60
 
     run_rig(scenario)
@@ -82,7 +90,7 @@ def test_an_order_replaces_a_reference_run_that_was_asked_for_and_has_not_begun(
 
 def test_a_reference_run_replaces_a_move_that_was_ordered(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         before = rig.motion.last_move
         rig.motion.order(Target(0, 60, "test"))
         rig.motion.home()
@@ -96,14 +104,14 @@ def test_a_reference_run_replaces_a_move_that_was_ordered(run_rig):
 @pytest.mark.parametrize("queued", ["home", "target"])
 def test_a_queued_move_or_reference_run_does_not_outlive_a_stop(run_rig, monkeypatch, queued):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         sent = commands_sent(rig, monkeypatch)
         if queued == "home":
             rig.motion.home()
         else:
             rig.motion.order(Target(0, 60, "test"))
         await rig.motion.stop()
-        assert await moves_for(rig, 60) == 0.0
+        assert await motion_duration_s(rig, 60) == 0.0
         assert {data[:3] for _, data in sent} == {STOP_PACKET}
 
     run_rig(scenario)
@@ -111,7 +119,7 @@ def test_a_queued_move_or_reference_run_does_not_outlive_a_stop(run_rig, monkeyp
 
 def test_a_stop_ends_the_move_at_once_and_not_with_its_time_limit(run_rig):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         await rig.motion.stop()
         await rig.until(lambda: rig.motion.target is None, 2, "the end of the move")
         assert rig.motion.last_move.outcome is MoveOutcome.INTERRUPTED
@@ -121,14 +129,14 @@ def test_a_stop_ends_the_move_at_once_and_not_with_its_time_limit(run_rig):
 
 def test_a_stop_given_to_motion_drops_a_target_that_has_not_begun(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         rig.control.hold("so that control orders nothing")
-        await at_rest(rig)
+        await wait_for_rest(rig)
         rig.motion.order(Target(-20, 70, "test"))
         # The order is taken back before anything has begun to carry it out.
         await rig.motion.stop()
-        assert await moves_for(rig, 10) == 0
+        assert await motion_duration_s(rig, 10) == 0
         assert rig.motion.target is None
 
     run_rig(scenario)
@@ -136,9 +144,9 @@ def test_a_stop_given_to_motion_drops_a_target_that_has_not_begun(run_rig):
 
 def test_moves_ordered_before_a_lost_link_are_forgotten(run_rig, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion.order(Target(0, 60, "test"))
-        rig.motion.rest()
+        rig.motion.request_stop()
         rig.motion.order(Target(0, 50, "test"))
         rig.cables.positioner.link_up = False
         await asyncio.sleep(3)
@@ -146,7 +154,7 @@ def test_moves_ordered_before_a_lost_link_are_forgotten(run_rig, monkeypatch):
         rig.cables.positioner.link_up = True
         await rig.until(lambda: rig.motion.connected, 20, "the connection")
         await asyncio.sleep(30)
-        assert not targets(sent)
+        assert not target_packets(sent)
 
     run_rig(scenario, motion={"deadband_deg": 30})
 
@@ -154,7 +162,7 @@ def test_moves_ordered_before_a_lost_link_are_forgotten(run_rig, monkeypatch):
 @pytest.mark.parametrize("when", ["at the connection", "later"])
 def test_the_own_tracking_of_the_unit_is_switched_off(run_rig, monkeypatch, when):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         if when == "at the connection":
             rig.cables.positioner.link_up = False
             await asyncio.sleep(2)
@@ -167,8 +175,8 @@ def test_the_own_tracking_of_the_unit_is_switched_off(run_rig, monkeypatch, when
         await asyncio.sleep(3)
         assert not rig.motion.telemetry.autonomous
         rig.unit.repair("undervoltage", now(rig))
-        assert await moves_for(rig, 10) == 0.0
-        assert rig.motion.unexplained is None, "nothing has moved"
+        assert await motion_duration_s(rig, 10) == 0.0
+        assert rig.motion.unexplained_motion is None, "nothing has moved"
         await rig.until_mode(Mode.TRACKING, 20)
 
     run_rig(scenario)
@@ -176,15 +184,15 @@ def test_the_own_tracking_of_the_unit_is_switched_off(run_rig, monkeypatch, when
 
 def test_a_target_right_after_an_arrival_waits_until_both_axes_stand(run_rig, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion.order(Target(10, 60, "test"))
         await rig.until(lambda: rig.motion.target is not None, 3, "the move")
         await rig.until(lambda: rig.motion.target is None, 90, "its end")
         sent = commands_sent(rig, monkeypatch)
         rig.motion.order(Target(0, 90, "storm"), stow=True)
-        await rig.until(lambda: targets(sent), 5, "the next target")
+        await rig.until(lambda: target_packets(sent), 5, "the next target")
         assert [data[:3] for _, data in sent][:2] == [STOP_PACKET] * 2
-        assert targets(sent)[0].startswith(B_PACKET)
+        assert target_packets(sent)[0].startswith(B_PACKET)
         await rig.until(lambda: rig.motion.target is None, 90, "its end")
         assert rig.motion.last_move.outcome is MoveOutcome.ARRIVED
 
@@ -193,20 +201,20 @@ def test_a_target_right_after_an_arrival_waits_until_both_axes_stand(run_rig, mo
 
 def test_an_order_that_cannot_be_carried_out_any_more_is_reported_and_dropped(run_rig, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion.order(Target(0, 60, "test"))
-        show(rig, faults=("a_hall_fault",))
+        override_telemetry(rig, faults=("a_hall_fault",))
         sent = commands_sent(rig, monkeypatch)
         await asyncio.sleep(5)
-        assert not targets(sent)
-        assert any(event.text == "no move: the positioner reports a_hall_fault" for event in rig.of(Event))
+        assert not target_packets(sent)
+        assert any(event.text == "no move: the positioner reports a_hall_fault" for event in rig.records_of(Event))
 
     run_rig(scenario)
 
 
 def test_after_many_short_outages_the_first_tries_to_reconnect_are_quick_again(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         for _ in range(8):
             rig.cables.positioner.link_up = False
             await asyncio.sleep(0.7)

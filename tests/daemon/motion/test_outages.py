@@ -8,8 +8,8 @@ import pytest
 from daemon.motion.polling import Polling
 from drivers.positioners.pozsol import wire
 from drivers.positioners.pozsol.wire import Field
-from tests.support.motion import A_PACKET, B_PACKET, commands_sent, drive, lose
-from tests.support.phases import now, quiet
+from tests.support.motion import A_PACKET, B_PACKET, commands_sent, lose_packets, send_foreign_command
+from tests.support.phases import now, wait_for_long_rest
 
 # Longer than the report after an hour; the next comes after six (tests/daemon/base/test_recurrence.py has a whole day).
 LONG_S = 1.5 * 3600.0
@@ -28,7 +28,7 @@ async def flapping(rig):
     while now(rig) < end_s:
         rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(120)
-        drive(rig, Field.STATUS, wire.CLEAR)
+        send_foreign_command(rig, Field.STATUS, wire.CLEAR)
         await asyncio.sleep(120)
 
 
@@ -74,7 +74,7 @@ async def brown_out(rig):
 )
 def test_hours_of_trouble_with_the_positioner_are_logged_in_few_lines(run_rig, caplog, trouble):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion._polling = SELDOM
         caplog.clear()
         end_s = now(rig) + LONG_S
@@ -93,9 +93,9 @@ def test_hours_of_trouble_with_the_positioner_are_logged_in_few_lines(run_rig, c
 
 def test_hours_of_refused_moves_are_logged_in_few_lines(run_rig, caplog, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion._polling = SELDOM
-        lose(rig, monkeypatch, A_PACKET, B_PACKET)
+        lose_packets(rig, monkeypatch, A_PACKET, B_PACKET)
         sent = commands_sent(rig, monkeypatch)
         caplog.clear()
         await asyncio.sleep(LONG_S)

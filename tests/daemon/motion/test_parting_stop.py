@@ -6,14 +6,14 @@ import pytest
 
 from daemon.base.records import MoveOutcome, Target
 from drivers.errors import LinkLostError
-from tests.support.hand_positioner import HandPositioner, run_motion
+from tests.support.hand_positioner import FakePositioner, run_motion
 from tests.support.motion import STOP_PACKET, commands_sent
-from tests.support.phases import quiet, under_way
+from tests.support.phases import wait_for_long_rest, wait_for_move
 
 
 def test_an_axis_stands_soon_after_its_unit_has_fallen_silent(run_rig):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.cables.positioner.silent = True
         await rig.until(lambda: not rig.motion.connected, 3.0, "the loss")
         # The motor runs out for a fraction of a second: wait for that.
@@ -30,7 +30,7 @@ def test_an_axis_stands_soon_after_its_unit_has_fallen_silent(run_rig):
 
 def test_a_unit_that_rests_is_sent_nothing_when_it_falls_silent(run_rig, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         sent = commands_sent(rig, monkeypatch)
         rig.cables.positioner.silent = True
         await asyncio.sleep(60.0)
@@ -45,7 +45,7 @@ def test_a_unit_that_rests_is_sent_nothing_when_it_falls_silent(run_rig, monkeyp
 
 @pytest.mark.parametrize("hangs", [True, False])
 def test_the_stop_before_a_lost_link_is_closed_neither_delays_the_close_nor_raises_an_error(hangs):
-    class Hanging(HandPositioner):
+    class Hanging(FakePositioner):
         lost_s = closed_s = None
 
         async def read_telemetry(self):

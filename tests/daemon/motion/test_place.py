@@ -8,7 +8,7 @@ import pytest
 from daemon.base.state import StateFolder
 from daemon.motion.place import KeptPlace
 from tests.daemon.motion.test_home_again import stuck_on_its_way
-from tests.support.phases import quiet
+from tests.support.phases import wait_for_long_rest
 from tests.support.rig import ServiceRig
 
 FILE_NAME = "place.json"
@@ -30,7 +30,7 @@ async def homed_after_its_count_was_lost(rig):
 @pytest.fixture
 def kept(run_rig, tmp_path, monkeypatch):
     """The folder of a service that ended with its axes where those of the next service begin."""
-    monkeypatch.setattr(ServiceRig, "begins_anew", False)
+    monkeypatch.setattr(ServiceRig, "has_fixed_start_pose", False)
     run_rig(stopped_where_it_began, store={"directory": tmp_path})
     (tmp_path / "operator.json").unlink()
     return tmp_path
@@ -43,7 +43,7 @@ def test_a_switch_stuck_on_the_reference_run_after_service_and_unit_restarted_is
 @pytest.mark.parametrize("text", ["", "{", '{"a": 1e999, "b": 2.0}', '{"a": "near", "b": 2.0}'])
 def test_a_kept_place_that_cannot_be_read_is_logged_and_hinders_nothing(run_rig, kept, caplog, text):
     (kept / FILE_NAME).write_text(text)
-    run_rig(quiet, store={"directory": kept})
+    run_rig(wait_for_long_rest, store={"directory": kept})
     assert f"{FILE_NAME} cannot be read" in caplog.text
     json.loads((kept / FILE_NAME).read_text())
 
@@ -52,7 +52,7 @@ def test_the_place_follows_the_axes_and_is_not_written_while_they_rest(run_rig, 
     begun = json.loads((kept / FILE_NAME).read_text())
 
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         written = (kept / FILE_NAME).stat().st_mtime_ns, (kept / FILE_NAME).read_bytes()
         assert json.loads(written[1]) != begun
         seen = rig.motion.telemetry
@@ -102,9 +102,9 @@ def test_a_place_kept_without_a_tracker_name_is_dropped_when_there_are_several_t
 
 
 def test_a_simulated_positioner_that_begins_anew_is_not_compared_with_the_kept_place(run_rig, kept, monkeypatch):
-    monkeypatch.setattr(ServiceRig, "begins_anew", True)
+    monkeypatch.setattr(ServiceRig, "has_fixed_start_pose", True)
     rested_elsewhere(kept)
-    run_rig(quiet, store={"directory": kept})
+    run_rig(wait_for_long_rest, store={"directory": kept})
 
 
 def test_the_kept_place_is_erased_before_a_target_is_sent(run_rig, kept, monkeypatch):
@@ -116,7 +116,7 @@ def test_the_kept_place_is_erased_before_a_target_is_sent(run_rig, kept, monkeyp
             await move_to(*target, first=first)
 
         monkeypatch.setattr(rig.positioner, "move_to", move_and_look)
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         assert {text.strip() for text in found} == {"{}"}
 
     run_rig(scenario, store={"directory": kept})
@@ -127,7 +127,7 @@ def test_an_axis_that_stays_keeps_its_place_while_the_other_moves(run_rig, kept)
         return json.loads((kept / FILE_NAME).read_text())
 
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rested, pose = places(), rig.motion.telemetry
         rig.control.goto(pose.a_deg - 20.0, pose.b_deg, "a test")
         await rig.until(lambda: abs(rig.motion.telemetry.a_deg - pose.a_deg) > 5.0, 120, "A on its way")
@@ -143,7 +143,7 @@ def test_an_axis_that_stays_keeps_its_place_while_the_other_moves(run_rig, kept)
 @pytest.mark.parametrize(("step_deg", "stays"), [(0.8, True), (1.6, False)])
 def test_a_step_too_small_to_matter_leaves_both_places_kept(run_rig, kept, step_deg, stays):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rested, pose = (kept / FILE_NAME).read_text(), rig.motion.telemetry
         rig.control.goto(pose.a_deg - step_deg, pose.b_deg - step_deg, "a test")
         await rig.until(lambda: rig.motion.moving, 60, "the move")
@@ -155,7 +155,7 @@ def test_a_step_too_small_to_matter_leaves_both_places_kept(run_rig, kept, step_
 
 def test_after_a_person_has_cleared_a_doubt_the_kept_places_raise_none_at_a_restart(run_rig, kept):
     async def cleared(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         await stuck_on_its_way(rig)
         rig.unit.repair("b_switch_closed", rig.clock.monotonic())
         await rig.control.stop("a test")
@@ -166,8 +166,8 @@ def test_after_a_person_has_cleared_a_doubt_the_kept_places_raise_none_at_a_rest
         assert places == pytest.approx({"a": seen.position_a, "b": seen.position_b}, abs=0.1)
         # What a new process knows: the kept places, and the unit as it stands.
         rig.cables.positioner.link_up = False
-        restarted = rig.drive(rig.unit, rig.service.settings)
-        KeptPlace(StateFolder(kept), restarted, None, begins_anew=False)
+        restarted = rig.build_driver(rig.unit, rig.service.settings)
+        KeptPlace(StateFolder(kept), restarted, None, has_fixed_start_pose=False)
         await restarted.open()
         assert (await restarted.read_telemetry()).reference_doubt == ""
         await restarted.close()

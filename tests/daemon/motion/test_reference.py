@@ -4,7 +4,7 @@ import asyncio
 from random import Random
 
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
@@ -19,9 +19,9 @@ from tests.support.addresses import free_port
 def test_a_sentence_that_two_doubts_have_in_common_is_said_once():
     doubts = Doubts(StateFolder(None))
     met = "axis A met its end switch where its count was -318.56, not 0: home it again"
-    doubts.doubt("count", f"{met}; the positioner has restarted")
-    doubts.doubt("homing", f"homing failed ({met}), the reference is in doubt: home it")
-    doubts.doubt("reset", RESET)
+    doubts.add_doubt("count", f"{met}; the positioner has restarted")
+    doubts.add_doubt("homing", f"homing failed ({met}), the reference is in doubt: home it")
+    doubts.add_doubt("reset", RESET)
     assert doubts.reference == f"homing failed ({met}), the reference is in doubt: home it; {RESET}"
     assert len(doubts.texts) == 3
 
@@ -35,9 +35,9 @@ def test_a_fault_that_vanishes_is_a_doubt_unless_the_service_has_cleared_it():
     doubts.see(look("a_cable", "b_cable"), clearing=False)
     doubts.see(look("b_cable"), clearing=False)
     text = "a_cable cleared by itself, the reference may be lost: home it"
-    assert (doubts.reference, [*doubts.vanished.values()], doubts.texts) == (text, [text], (text,))
+    assert (doubts.reference, [*doubts.vanished_faults.values()], doubts.texts) == (text, [text], (text,))
     doubts.see(look(), clearing=True)
-    doubts.cleared()
+    doubts.note_faults_cleared()
     doubts.see(look(), clearing=False)
     assert doubts.texts == (text,)
 
@@ -46,7 +46,7 @@ def test_kept_doubts_are_read_together_with_the_faults_that_have_vanished_since(
     folder = StateFolder(tmp_path)
     assert kept_doubts(folder, look()) == ()
     doubts = Doubts(folder)
-    doubts.note("motion", "A moved without an order")
+    doubts.add_incident("motion", "A moved without an order")
     doubts.see(look("a_cable", "b_cable", was_reset=True), clearing=False)
     doubts.homing_begins()
     noted = ("A moved without an order", RESET)
@@ -60,18 +60,18 @@ def test_a_restart_and_a_doubt_about_the_count_that_the_unit_reports_are_doubts_
     assert doubts.reference is None
     doubts.see(look(was_reset=True, reference_doubt="the count has jumped"), clearing=True)
     assert doubts.texts == (RESET, "the count has jumped")
-    assert not doubts.vanished
+    assert not doubts.vanished_faults
 
 
 def test_only_doubts_that_were_shown_are_forgiven():
     doubts = Doubts(StateFolder(None))
-    doubts.doubt("count", "the count has jumped")
-    doubts.note("motion", "B moved")
-    doubts.note("motion", "B moved again")
-    doubts.note("deaf", "it does not obey")
+    doubts.add_doubt("count", "the count has jumped")
+    doubts.add_incident("motion", "B moved")
+    doubts.add_incident("motion", "B moved again")
+    doubts.add_incident("deaf", "it does not obey")
     assert doubts.incident == "B moved; it does not obey"
     assert (doubts.incident_of("motion"), doubts.incident_of("other")) == ("B moved", None)
-    doubts.forgive(("B moved", fault_text("a_cable")), look("a_cable", "b_cable"))
+    doubts.acknowledge(("B moved", fault_text("a_cable")), look("a_cable", "b_cable"))
     unseen = "b_cable was cleared before anybody had seen it: home it"
     assert doubts.texts == ("it does not obey", "the count has jumped", unseen)
     doubts.see(look(), clearing=False)
@@ -81,13 +81,13 @@ def test_only_doubts_that_were_shown_are_forgiven():
 def test_doubts_incidents_and_vanished_faults_outlive_the_service(tmp_path):
     folder = StateFolder(tmp_path)
     doubts = Doubts(folder)
-    doubts.doubt("count", "the count has jumped")
-    doubts.note("motion", "B moved")
+    doubts.add_doubt("count", "the count has jumped")
+    doubts.add_incident("motion", "B moved")
     doubts.see(look("a_cable"), clearing=False)
     after = Doubts(folder)
     assert after.texts == ("B moved", "the count has jumped")
     after.see(look(), clearing=False)
-    assert after.vanished
+    assert after.vanished_faults
 
 
 def test_a_reference_run_during_which_the_service_ended_counts_as_not_finished(tmp_path):
@@ -101,8 +101,8 @@ def test_a_reference_run_during_which_the_service_ended_counts_as_not_finished(t
     doubts.homing_ends("axis A was not found")
     assert Doubts(folder).reference == "axis A was not found"
     doubts.homing_begins()
-    doubts.note("motion", "B moved")
-    doubts.referenced()
+    doubts.add_incident("motion", "B moved")
+    doubts.clear_doubts()
     assert Doubts(folder).texts == ("B moved",)
 
 
@@ -115,7 +115,9 @@ def test_the_doubt_of_a_drive_without_a_reference_run_asks_to_compare_angles_and
     async def scenario():
         clock = LoopClock(asyncio.get_running_loop().time, 1.7e9)
         rig = Rig(None, (TrackerInstruments(build_positioner(settings, clock)),), None, simulated=False)
-        service = Service(settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0))
+        service = Service(
+            settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), SystemdNotifier({}, 0)
+        )
         return service.trackers[0].motion.doubt
 
     doubt = asyncio.run(scenario())

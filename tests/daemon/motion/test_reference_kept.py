@@ -9,13 +9,13 @@ import pytest
 from daemon.base.records import Mode, Target
 from daemon.motion.reference import RESET
 from drivers.errors import RefusedError
-from tests.support.motion import CLEAR_PACKET, alarms, commands_sent, drive_b
-from tests.support.phases import now, quiet, told, tracking
+from tests.support.motion import CLEAR_PACKET, alarms, commands_sent, send_foreign_b_target
+from tests.support.phases import now, positioner_events, wait_for_long_rest, wait_for_tracking
 
 
 def test_clear_forgives_the_fault_that_was_shown_and_not_the_reset_behind_it(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(1)
         shown = rig.motion.concerns
@@ -34,7 +34,7 @@ def test_clear_forgives_the_fault_that_was_shown_and_not_the_reset_behind_it(run
 
 def test_a_reset_that_comes_after_the_shown_fault_is_not_forgiven_by_a_clear(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(1)
         rig.motion.clear_faults()
@@ -49,7 +49,7 @@ def test_a_reset_that_comes_after_the_shown_fault_is_not_forgiven_by_a_clear(run
 
 def test_a_fault_that_nobody_was_shown_leaves_a_doubt_when_the_unit_clears_it(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(1)
         rig.motion.clear_faults(shown=())
@@ -62,7 +62,7 @@ def test_a_fault_that_nobody_was_shown_leaves_a_doubt_when_the_unit_clears_it(ru
 
 def test_a_clear_that_was_asked_for_before_the_link_was_lost_is_dropped_with_it(run_rig, monkeypatch):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.power_cycle(now(rig))
         await asyncio.sleep(2)
         rig.motion.clear_faults()
@@ -73,14 +73,14 @@ def test_a_clear_that_was_asked_for_before_the_link_was_lost_is_dropped_with_it(
         await asyncio.sleep(60)
         assert not [data for _, data in sent if data.startswith(CLEAR_PACKET)]
         assert RESET in rig.motion.doubt
-        assert "nothing was cleared: the positioner was lost first" in told(rig)
+        assert "nothing was cleared: the positioner was lost first" in positioner_events(rig)
 
     run_rig(scenario)
 
 
 def test_a_clear_without_telemetry_is_refused(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.cables.positioner.link_up = False
         await asyncio.sleep(3)
         with pytest.raises(RefusedError, match="no telemetry"):
@@ -93,7 +93,7 @@ def test_a_clear_without_telemetry_is_refused(run_rig):
 
 def test_a_fault_that_vanishes_while_unplugged_is_remembered(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(2)
         rig.cables.positioner.link_up = False
@@ -110,7 +110,7 @@ def test_a_fault_that_vanishes_while_unplugged_is_remembered(run_rig):
 
 def test_a_fault_that_clears_itself_leaves_a_doubt(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_overcurrent", now(rig))
         await asyncio.sleep(1000 - now(rig))
         assert not rig.motion.telemetry.faults
@@ -128,7 +128,7 @@ def states(rig):
 
 def test_a_second_fault_raises_an_acknowledged_alarm_again_and_the_end_of_a_fault_does_not(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_overcurrent", now(rig))
         await rig.until(lambda: "positioner-fault" in states(rig), 10, "the fault")
         rig.tracker.alarms.acknowledge("ana")
@@ -147,7 +147,7 @@ def test_a_second_fault_raises_an_acknowledged_alarm_again_and_the_end_of_a_faul
 
 def test_a_second_doubt_raises_an_acknowledged_alarm_again(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.power_cycle(now(rig))
         await rig.until(lambda: "reference" in states(rig), 30, "the restart")
         rig.tracker.alarms.acknowledge("ana")
@@ -155,7 +155,7 @@ def test_a_second_doubt_raises_an_acknowledged_alarm_again(run_rig):
         assert states(rig)["reference"] == "acknowledged"
         rig.motion.home()
         await asyncio.sleep(10)
-        rig.motion.rest()
+        rig.motion.request_stop()
         await rig.until(lambda: "homing was not finished" in alarms(rig)["reference"], 30, "the second doubt")
         assert states(rig)["reference"] == "raised"
 
@@ -164,12 +164,12 @@ def test_a_second_doubt_raises_an_acknowledged_alarm_again(run_rig):
 
 def test_doubts_and_incidents_outlive_the_service(run_rig, tmp_path):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.power_cycle(now(rig))
         for _ in range(2):
             # The unit loses the first packet after its restart: send it again.
-            drive_b(rig, 85.0)
-        await rig.until(lambda: rig.motion.unexplained and rig.motion.doubt, 30, "both")
+            send_foreign_b_target(rig, 85.0)
+        await rig.until(lambda: rig.motion.unexplained_motion and rig.motion.doubt, 30, "both")
         await asyncio.sleep(10)
 
     async def again(rig):
@@ -186,7 +186,7 @@ def test_doubts_and_incidents_outlive_the_service(run_rig, tmp_path):
     run_rig(again, store=store)
     kept = json.loads((tmp_path / "motion.json").read_text())
     assert kept == {"doubts": {}, "incidents": {}, "faults": [], "homing": False}
-    run_rig(tracking, store=store)
+    run_rig(wait_for_tracking, store=store)
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"doubts": 3}', "\0"])
@@ -203,7 +203,7 @@ def test_a_file_of_doubts_that_cannot_be_read_is_a_doubt(run_rig, tmp_path, text
 
 def test_a_service_that_is_killed_while_homing_comes_back_in_doubt(run_rig, tmp_path):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.motion.home()
         await asyncio.sleep(20)
         (tmp_path / "kept.json").write_text((tmp_path / "motion.json").read_text())
@@ -219,18 +219,18 @@ def test_a_service_that_is_killed_while_homing_comes_back_in_doubt(run_rig, tmp_
 
 def test_a_reference_run_of_the_units_own_is_a_doubt(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("re_reference", now(rig))
         await asyncio.sleep(10)
         assert "a reference run of its own" in rig.motion.doubt
-        assert rig.motion.unexplained
+        assert rig.motion.unexplained_motion
 
     run_rig(scenario)
 
 
 def test_the_destination_of_a_reference_run_of_the_units_own_is_enough_for_a_doubt(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         read = rig.positioner.read_telemetry
 
         async def without_the_run_itself():
@@ -246,16 +246,16 @@ def test_the_destination_of_a_reference_run_of_the_units_own_is_enough_for_a_dou
 
 def test_a_tracker_that_stands_elsewhere_after_an_outage_is_in_doubt(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.cables.positioner.link_up = False
         await asyncio.sleep(3)
-        drive_b(rig, 60.0)
+        send_foreign_b_target(rig, 60.0)
         await asyncio.sleep(60)
         rig.cables.positioner.link_up = True
         await rig.until_mode(Mode.FAULT, 30)
         await rig.until(lambda: rig.motion.connected, 30, "the connection")
         assert "axis B has the count" in rig.motion.doubt
-        assert any("before the loss it stood at" in text for text in told(rig))
+        assert any("before the loss it stood at" in text for text in positioner_events(rig))
         rig.motion.order(Target(0, 90, "storm"), stow=True)
         await asyncio.sleep(60)
         assert rig.truth().b_deg == pytest.approx(90, abs=1)

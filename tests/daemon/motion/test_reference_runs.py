@@ -25,24 +25,24 @@ def clear_slowly(unit):
 
 def test_a_reference_run_clears_homes_both_axes_and_ends_the_doubts():
     async def scenario(rig):
-        rig.unit.says |= {"was_reset": True, "reference_doubt": "the count jumped"}
+        rig.unit.telemetry_overrides |= {"was_reset": True, "reference_doubt": "the count jumped"}
         await asyncio.sleep(2.0)
 
         async def homed(axis):
             await home(axis)
             if axis == "b":
-                rig.unit.says.pop("reference_doubt")
+                rig.unit.telemetry_overrides.pop("reference_doubt")
 
         home, rig.unit.home = rig.unit.home, homed
         sent, began = len(rig.unit.sent), rig.changes
         rig.motion.home()
         await rig.until(lambda: rig.motion.homing, 2.0)
-        assert not rig.motion.resting
-        assert rig.motion._guard.rested is None
+        assert not rig.motion.is_idle
+        assert rig.motion._guard.rest_pose is None
         assert rig.changes > began
         await rig.until(lambda: not rig.motion.homing, 90.0)
         assert rig.unit.sent[sent:] == [("clear", False), ("home", "a"), ("home", "b"), "halt"]
-        assert rig.told[-2:] == ["homing", "homing finished"]
+        assert rig.positioner_events[-2:] == ["homing", "homing finished"]
         assert rig.motion.doubt is None
 
     run_motion(scenario)
@@ -60,9 +60,9 @@ def test_a_reference_run_that_leaves_a_doubt_has_failed(says, words):
     async def scenario(rig):
         rig.motion.home()
         await asyncio.sleep(5.0)
-        rig.unit.says |= says
+        rig.unit.telemetry_overrides |= says
         await rig.until(lambda: not rig.motion.homing, 60.0)
-        assert f"homing failed: {words}" in rig.told
+        assert f"homing failed: {words}" in rig.positioner_events
         assert f"homing failed ({words}), the reference is in doubt: home it" in rig.motion.doubt
         assert ("home", "b") not in rig.unit.sent
         assert rig.unit.sent[-1] == "halt"
@@ -80,7 +80,7 @@ def test_a_reference_run_that_does_not_end_is_given_up_after_a_quarter_of_an_hou
         assert rig.motion.homing
         await asyncio.sleep(20.0)
         assert not rig.motion.homing
-        assert rig.told[-1] == "homing failed: axis A has not ended its reference run in time"
+        assert rig.positioner_events[-1] == "homing failed: axis A has not ended its reference run in time"
 
     run_motion(scenario)
 
@@ -96,7 +96,7 @@ def test_a_reference_run_on_which_the_axis_stands_is_given_up_after_a_minute():
         assert rig.motion.homing
         await asyncio.sleep(5.0)
         assert not rig.motion.homing
-        assert rig.told[-1] == "homing failed: axis A has not moved for 60 s, nor ended its reference run"
+        assert rig.positioner_events[-1] == "homing failed: axis A has not moved for 60 s, nor ended its reference run"
         assert rig.unit.sent[-1] == "halt"
         assert "the reference is in doubt: home it" in rig.motion.doubt
 
@@ -108,7 +108,7 @@ def test_a_reference_run_that_is_refused_is_reported_and_counts_as_not_finished(
     async def scenario(rig):
         rig.unit.refuses[call] = RefusedError("hand", "not now")
         rig.motion.home()
-        await rig.until(lambda: "homing refused: not now" in rig.told, 5.0)
+        await rig.until(lambda: "homing refused: not now" in rig.positioner_events, 5.0)
         await asyncio.sleep(2.0)
         assert not rig.motion.homing
         assert rig.motion.doubt == "homing was not finished, the reference is in doubt: home it"
@@ -122,16 +122,16 @@ def test_a_reference_run_that_is_refused_is_reported_and_counts_as_not_finished(
 def test_a_reference_run_that_is_stopped_leaves_the_doubt_that_was_there_and_no_other(doubted, ended_by):
     async def scenario(rig):
         if doubted:
-            rig.unit.says["faults"] = ("a_hall",)
+            rig.unit.telemetry_overrides["faults"] = ("a_hall",)
             await asyncio.sleep(2.0)
         rig.motion.home()
         await asyncio.sleep(5.0)
         if ended_by == "rest":
-            rig.motion.rest()
+            rig.motion.request_stop()
         else:
-            rig.unit.says["button_pressed"] = True
+            rig.unit.telemetry_overrides["button_pressed"] = True
         await rig.until(lambda: not rig.motion.homing, 3.0)
-        assert rig.told[-1] == "homing was stopped before its end"
+        assert rig.positioner_events[-1] == "homing was stopped before its end"
         assert (rig.motion.doubt is not None) == doubted
         assert rig.unit.sent[-1] == "halt"
 
@@ -140,16 +140,16 @@ def test_a_reference_run_that_is_stopped_leaves_the_doubt_that_was_there_and_no_
 
 def test_a_clear_that_is_refused_is_reported_and_forgives_nothing():
     async def scenario(rig):
-        rig.unit.says["was_reset"] = True
+        rig.unit.telemetry_overrides["was_reset"] = True
         rig.unit.refuses["clear"] = RefusedError("hand", "not now")
         await asyncio.sleep(2.0)
         rig.motion.clear_faults()
         await asyncio.sleep(2.0)
-        assert rig.told[-1] == "nothing was cleared: not now"
+        assert rig.positioner_events[-1] == "nothing was cleared: not now"
         assert rig.motion.doubt is not None
-        rig.unit.says["faults"] = ("a_hall",)
+        rig.unit.telemetry_overrides["faults"] = ("a_hall",)
         await asyncio.sleep(2.0)
-        rig.unit.says["faults"] = ()
+        rig.unit.telemetry_overrides["faults"] = ()
         await asyncio.sleep(2.0)
         assert "a_hall cleared by itself" in rig.motion.doubt, "it is not being cleared any more"
 
@@ -158,13 +158,13 @@ def test_a_clear_that_is_refused_is_reported_and_forgives_nothing():
 
 def test_a_waiting_clear_is_dropped_by_a_stop_and_reported_as_dropped():
     async def scenario(rig):
-        rig.unit.says["reference_doubt"] = "the count jumped"
+        rig.unit.telemetry_overrides["reference_doubt"] = "the count jumped"
         await asyncio.sleep(2.0)
         rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
         await rig.until(lambda: rig.motion.target is not None)
         rig.motion.clear_faults()
         rig.motion.freeze("ana")
-        assert rig.told[-1] == "nothing was cleared: a stop came first"
+        assert rig.positioner_events[-1] == "nothing was cleared: a stop came first"
         await asyncio.sleep(5.0)
         assert rig.motion.doubt == "the count jumped"
         assert not [sent for sent in rig.unit.sent if sent[0] == "clear"]
@@ -190,14 +190,14 @@ def test_a_clear_forgives_a_failed_move_only_if_it_was_shown(shown):
 
 def test_after_reference_runs_of_both_axes_in_vain_the_failure_is_reported_and_the_doubt_stays():
     async def scenario(rig):
-        rig.unit.says["reference_doubt"] = "the count jumped"
+        rig.unit.telemetry_overrides["reference_doubt"] = "the count jumped"
         await asyncio.sleep(2.0)
         rig.motion.home()
         await asyncio.sleep(60.0)
         assert ("home", "b") in rig.unit.sent
-        assert rig.told[-1] == "homing failed: the count jumped"
-        assert "homing finished" not in rig.told
-        rig.unit.says.pop("reference_doubt")
+        assert rig.positioner_events[-1] == "homing failed: the count jumped"
+        assert "homing finished" not in rig.positioner_events
+        rig.unit.telemetry_overrides.pop("reference_doubt")
         await asyncio.sleep(60.0)
         assert rig.motion.doubt == "homing failed (the count jumped), the reference is in doubt: home it"
 
@@ -215,8 +215,8 @@ def test_the_axis_that_is_homed_may_turn():
         rig.unit.home = turning
         rig.motion.home()
         await asyncio.sleep(60.0)
-        assert rig.told == ["homing", "homing finished"]
-        assert rig.motion.unexplained is rig.motion.doubt is None
+        assert rig.positioner_events == ["homing", "homing finished"]
+        assert rig.motion.unexplained_motion is rig.motion.doubt is None
 
     run_motion(scenario)
 
@@ -225,17 +225,17 @@ def test_a_reference_run_after_an_interrupted_and_a_failed_move_succeeds_and_end
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "go"))
         await asyncio.sleep(3.0)
-        rig.motion.rest()
+        rig.motion.request_stop()
         await rig.until(lambda: rig.moves)
         rig.unit.refuses["move"] = RefusedError("hand", "not taken")
         rig.motion.order(Target(40.0, 60.0, "go"))
         await rig.until(lambda: len(rig.moves) == 2)
-        assert "move-failed" in rig.raised
+        assert "move-failed" in rig.active_alarms
         rig.motion.home()
         await asyncio.sleep(60.0)
-        assert rig.told[-1] == "homing finished"
+        assert rig.positioner_events[-1] == "homing finished"
         assert rig.motion.doubt is None
-        assert "move-failed" not in rig.raised
+        assert "move-failed" not in rig.active_alarms
 
     run_motion(scenario, attempts=1)
 
@@ -254,7 +254,7 @@ def test_a_reference_run_is_kept_as_not_finished_until_it_ends(tmp_path):
 @pytest.mark.parametrize("ask", ["clear", "home"])
 def test_faults_that_the_unit_clears_on_request_leave_no_doubt_however_long_it_takes(ask):
     async def scenario(rig):
-        rig.unit.says["faults"] = ("a_hall",)
+        rig.unit.telemetry_overrides["faults"] = ("a_hall",)
         await asyncio.sleep(2.0)
         clear_slowly(rig.unit)
         if ask == "clear":
@@ -263,9 +263,9 @@ def test_faults_that_the_unit_clears_on_request_leave_no_doubt_however_long_it_t
             rig.motion.home()
         await asyncio.sleep(4.0)
         assert not [text for text in rig.motion.concerns if "cleared by itself" in text]
-        rig.unit.says["faults"] = ("b_hall",)
+        rig.unit.telemetry_overrides["faults"] = ("b_hall",)
         await asyncio.sleep(2.0)
-        rig.unit.says["faults"] = ()
+        rig.unit.telemetry_overrides["faults"] = ()
         await asyncio.sleep(2.0)
         assert [text for text in rig.motion.concerns if text.startswith("b_hall cleared by itself")]
 
@@ -276,14 +276,14 @@ def test_faults_that_the_unit_clears_on_request_leave_no_doubt_however_long_it_t
 def test_a_stop_while_marks_are_cleared_for_a_reference_run_keeps_it_from_beginning(doubted):
     async def scenario(rig):
         if doubted:
-            rig.unit.says["faults"] = ("a_hall",)
+            rig.unit.telemetry_overrides["faults"] = ("a_hall",)
             await asyncio.sleep(2.0)
         clear_slowly(rig.unit)
         rig.motion.home()
         await asyncio.sleep(1.0)
-        rig.motion.rest()
+        rig.motion.request_stop()
         await rig.until(lambda: not rig.motion.homing, 3.0)
-        assert rig.told[-2:] == ["homing", "homing was stopped before its end"]
+        assert rig.positioner_events[-2:] == ["homing", "homing was stopped before its end"]
         assert rig.motion.doubt == (NOT_FINISHED if doubted else None)
         after = rig.unit.sent[rig.unit.sent.index(("clear", False)) :]
         assert set(after[1:]) == {"stop", "halt"}, "the stop ends what the driver is at"
@@ -299,9 +299,9 @@ def test_the_axis_that_waits_for_its_reference_run_may_not_move():
         await asyncio.sleep(2.0)
         rig.unit.drive(0.0, 20.0)
         await rig.until(lambda: not rig.motion.homing, 5.0)
-        assert rig.told[-1].startswith("homing failed: B moved from +60.0")
+        assert rig.positioner_events[-1].startswith("homing failed: B moved from +60.0")
         assert rig.unit.place()[1] > 57.0, "it has been stopped"
-        assert "B moved from" in rig.motion.unexplained
+        assert "B moved from" in rig.motion.unexplained_motion
         assert ("home", "b") not in rig.unit.sent
 
     run_motion(scenario)
@@ -316,8 +316,8 @@ def test_stray_motion_in_a_reference_run_stays_known_even_if_the_link_is_lost_at
         rig.unit.drive(0.0, 20.0)
         await rig.until(lambda: not rig.motion.connected, 5.0)
         del rig.unit.refuses["halt"]
-        await rig.connected()
-        assert "B moved from" in rig.motion.unexplained
+        await rig.wait_until_connected()
+        assert "B moved from" in rig.motion.unexplained_motion
 
     run_motion(scenario)
 
@@ -325,7 +325,7 @@ def test_stray_motion_in_a_reference_run_stays_known_even_if_the_link_is_lost_at
 def test_a_good_reference_run_ends_with_a_look_at_rest():
     async def scenario(rig):
         rig.motion.home()
-        await rig.until(lambda: "homing finished" in rig.told, 90.0)
+        await rig.until(lambda: "homing finished" in rig.positioner_events, 90.0)
         end = next(at for at, record in enumerate(rig.records) if getattr(record, "text", "") == "homing finished")
         assert not [record for record in rig.records[:end] if isinstance(record, Pose)][-1].moving
 
@@ -335,7 +335,7 @@ def test_a_good_reference_run_ends_with_a_look_at_rest():
 @pytest.mark.parametrize("shown", [True, False])
 def test_a_clear_lets_the_unit_forgive_a_doubt_only_where_it_was_shown(shown):
     async def scenario(rig):
-        rig.unit.says["reference_doubt"] = "the count jumped"
+        rig.unit.telemetry_overrides["reference_doubt"] = "the count jumped"
         await asyncio.sleep(2.0)
         rig.motion.clear_faults(None if shown else ())
         await asyncio.sleep(2.0)

@@ -71,7 +71,7 @@ def test_a_refused_target_is_tried_again_after_a_second_each_time_from_rest(atte
         pauses = attempts - 1
         assert sum(pose.moving for pose in rig.poses) == 2 * pauses, "each second of them is watched like a move"
         assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.REFUSED, "not taken")
-        assert rig.raised["move-failed"] == (
+        assert rig.active_alarms["move-failed"] == (
             "a move failed and waits to be tried again: the last move failed (refused): not taken"
         )
         assert rig.motion.doubt == "the last move failed (refused): not taken"
@@ -94,7 +94,7 @@ def test_a_failed_move_is_accepted_again_after_its_pause_and_forgotten_once_a_mo
         rig.motion.order(Target(10.0, 60.0, "go"))
         await rig.until(lambda: len(rig.moves) == 2)
         assert rig.moves[-1].outcome is MoveOutcome.ARRIVED
-        assert "move-failed" not in rig.raised
+        assert "move-failed" not in rig.active_alarms
         assert rig.motion.concerns == ()
 
     run_motion(scenario, attempts=1, retry_after_s=100.0)
@@ -106,7 +106,7 @@ def test_a_stow_that_failed_waits_for_its_own_pause_and_goes_then_without_being_
         rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
         await rig.until(lambda: rig.moves)
         failed_s = rig.clock.monotonic()
-        assert rig.raised["move-failed"].startswith("the stow failed")
+        assert rig.active_alarms["move-failed"].startswith("the stow failed")
         rig.unit.refuses.clear()
         at_s = times_of(rig, "move_to")
         rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
@@ -121,13 +121,13 @@ def test_an_axis_that_stalls_is_stopped_and_tried_again():
         at_s = times_of(rig, "move_to")
         drive = rig.unit.drive
         rig.unit.drive = lambda a_deg, b_deg: drive(a_deg / 2.0, b_deg) if len(at_s) == 1 else drive(a_deg, b_deg)
-        rig.unit.says["supply_v"] = 24.0
+        rig.unit.telemetry_overrides["supply_v"] = 24.0
         rig.motion.order(Target(20.0, 60.0, "go"))
         await rig.until(lambda: rig.moves, 90.0)
         assert rig.moves[-1].outcome is MoveOutcome.ARRIVED
         assert len(at_s) == 2
         assert rig.unit.sent.count("halt") >= 2
-        assert not rig.raised
+        assert not rig.active_alarms
 
     run_motion(scenario)
 
@@ -141,7 +141,7 @@ def test_a_fault_or_doubt_reported_during_a_move_ends_it_without_another_attempt
         at_s = times_of(rig, "move_to")
         rig.motion.order(Target(40.0, 60.0, "go"))
         await asyncio.sleep(4.0)
-        rig.unit.says |= says
+        rig.unit.telemetry_overrides |= says
         await rig.until(lambda: rig.moves, 3.0)
         await asyncio.sleep(10.0)
         assert rig.moves[-1].outcome is outcome
@@ -155,7 +155,7 @@ def test_a_stow_goes_on_with_the_reference_in_doubt():
     async def scenario(rig):
         rig.motion.order(Target(0.0, 90.0, "storm"), stow=True)
         await asyncio.sleep(4.0)
-        rig.unit.says["reference_doubt"] = "a jump"
+        rig.unit.telemetry_overrides["reference_doubt"] = "a jump"
         await rig.until(lambda: rig.moves)
         assert rig.moves[-1].outcome is MoveOutcome.ARRIVED
 
@@ -172,7 +172,7 @@ def test_only_a_stow_that_a_restarted_unit_refuses_clears_the_mark_of_the_restar
         async def once_cleared(a_deg, b_deg, *, first):
             if ("clear", False) in rig.unit.sent:
                 return await move_to(a_deg, b_deg, first=first)
-            rig.unit.says["was_reset"] = restarts
+            rig.unit.telemetry_overrides["was_reset"] = restarts
             raise RefusedError("hand", "not taken")
 
         rig.unit.move_to = once_cleared
@@ -191,7 +191,7 @@ def test_own_tracking_that_comes_on_in_an_attempt_ends_the_tries():
         rig.unit.refuses["disable_autonomy"] = RefusedError("hand", "stays on")
         rig.motion.order(Target(40.0, 60.0, "go"))
         await rig.until(lambda: at_s)
-        rig.unit.says["autonomous"] = True
+        rig.unit.telemetry_overrides["autonomous"] = True
         await asyncio.sleep(6.0)
         assert len(at_s) == 1
 
@@ -210,12 +210,12 @@ def test_a_stop_interrupts_a_move_wherever_it_is(when):
             rig.motion.order(Target(40.0, 60.0, "go"))
             await rig.until(lambda: at_s)
             await asyncio.sleep(0.1 if when == "at a refusal" else 0.6)
-        rig.motion.rest()
+        rig.motion.request_stop()
         asked_s = rig.clock.monotonic()
         await rig.until(lambda: rig.moves, 5.0)
         assert rig.clock.monotonic() - asked_s < 0.5
         assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.INTERRUPTED, "go")
-        assert "move-failed" not in rig.raised
+        assert "move-failed" not in rig.active_alarms
         await asyncio.sleep(10.0)
         assert len(at_s) == 1
         assert rig.unit.place()[0] < 8.0, "it has been stopped"
@@ -227,7 +227,7 @@ def test_a_button_on_the_way_interrupts_the_move_and_stops_it():
     async def scenario(rig):
         rig.motion.order(Target(40.0, 60.0, "go"))
         await asyncio.sleep(3.0)
-        rig.unit.says["button_pressed"] = True
+        rig.unit.telemetry_overrides["button_pressed"] = True
         await rig.until(lambda: rig.moves, 2.0)
         await asyncio.sleep(10.0)
         assert (rig.moves[-1].outcome, rig.moves[-1].why) == (MoveOutcome.INTERRUPTED, "go")
@@ -248,7 +248,7 @@ def test_an_axis_set_going_by_a_refused_order_is_halted_and_is_no_unexplained_mo
         await rig.until(lambda: rig.moves)
         await asyncio.sleep(10.0)
         assert rig.moves[-1].outcome is MoveOutcome.REFUSED
-        assert rig.motion.unexplained is None
+        assert rig.motion.unexplained_motion is None
         assert rig.unit.place()[1] > 50.0
 
     run_motion(scenario)
@@ -267,7 +267,7 @@ def test_an_axis_that_strays_between_two_attempts_is_stopped_and_ends_the_move()
         assert rig.moves[-1].why.startswith("B moved from +60.0")
         assert rig.unit.place()[1] > 58.8, "stopped at the next look, not at the end of the pause"
         assert len(at_s) == 1
-        assert rig.motion.unexplained
+        assert rig.motion.unexplained_motion
 
     run_motion(scenario)
 
@@ -338,13 +338,13 @@ def test_a_link_that_drops_at_every_move_is_a_failed_move_from_the_third_on():
     async def scenario(rig):
         rig.unit.refuses["move"] = LinkLostError("hand", "does not answer")
         for count in (1, 2, 3):
-            assert "move-failed" not in rig.raised
+            assert "move-failed" not in rig.active_alarms
             await rig.until(lambda: rig.motion.connected and rig.motion.stands_since_s is not None)
             rig.motion.order(Target(10.0, 60.0, "go"))
             await rig.until(lambda count=count: len(rig.moves) == count)
         assert [move.outcome for move in rig.moves] == [MoveOutcome.LINK_LOST] * 3
         text = "the last move failed (link-lost): does not answer"
-        assert rig.raised["move-failed"] == f"a move failed and waits to be tried again: {text}"
+        assert rig.active_alarms["move-failed"] == f"a move failed and waits to be tried again: {text}"
         await rig.until(lambda: rig.motion.connected)
         assert rig.motion.doubt is None, "the next one has no pause"
 

@@ -7,15 +7,15 @@ import pytest
 
 from daemon.base.records import Target
 from drivers.errors import RefusedError
-from tests.support.motion import drive_b
-from tests.support.phases import at_rest, now, quiet
+from tests.support.motion import send_foreign_b_target
+from tests.support.phases import now, wait_for_long_rest, wait_for_rest
 
 
 def ended(run_rig, caplog, act):
     """Run until `act` is over, and return what was logged about motion at the end, and whether it moves."""
 
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         await act(rig)
 
     with caplog.at_level(logging.INFO):
@@ -27,7 +27,7 @@ def ended(run_rig, caplog, act):
 
 def test_at_the_end_motion_that_nobody_ordered_is_stopped_too(run_rig, caplog):
     async def act(rig):
-        drive_b(rig, 85.0)
+        send_foreign_b_target(rig, 85.0)
         await asyncio.sleep(0.2)
 
     said, moves = ended(run_rig, caplog, act)
@@ -48,7 +48,7 @@ def test_at_the_end_an_ordered_move_is_stopped_and_seen_to_stand(run_rig, caplog
 def test_at_the_end_control_does_not_order_a_long_stow_again(run_rig, caplog):
     async def act(rig):
         rig.motion.order(Target(-50, 15, "far from stow"))
-        await at_rest(rig)
+        await wait_for_rest(rig)
         rig.control.stow("storm")
         # The order is more than a minute old: with the next look, control would give it again.
         await asyncio.sleep(70)
@@ -119,7 +119,7 @@ def test_the_port_is_released_at_the_end(run_rig):
     closed = []
 
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         close = rig.positioner.close
 
         async def noted():

@@ -8,8 +8,8 @@ import pytest
 from daemon.base.records import Mode, Move, Pose, Target
 from drivers.errors import RefusedError
 from tests.daemon.motion.test_outages import SELDOM
-from tests.support.motion import alarms, drive_b, show
-from tests.support.phases import now, quiet
+from tests.support.motion import alarms, override_telemetry, send_foreign_b_target
+from tests.support.phases import now, wait_for_long_rest
 
 
 def test_a_positioner_whose_setup_contradicts_the_configuration_is_not_moved(run_rig):
@@ -29,27 +29,27 @@ def test_a_positioner_whose_setup_contradicts_the_configuration_is_not_moved(run
             rig.motion.order(Target(0, 90, "storm"), stow=True)
         with pytest.raises(RefusedError, match="holder"):
             rig.motion.home()
-        assert not rig.of(Move)
+        assert not rig.records_of(Move)
 
     run_rig(scenario)
 
 
 def test_poses_at_rest_are_recorded_every_5_s_and_motion_at_once(run_rig):
     async def scenario(rig):
-        await quiet(rig)
-        before = len(rig.of(Pose))
+        await wait_for_long_rest(rig)
+        before = len(rig.records_of(Pose))
         await asyncio.sleep(100)
-        assert 19 <= len(rig.of(Pose)) - before <= 22
-        drive_b(rig, 80.0)
+        assert 19 <= len(rig.records_of(Pose)) - before <= 22
+        send_foreign_b_target(rig, 80.0)
         start_s = rig.clock.monotonic()
-        await rig.until(lambda: rig.of(Pose)[-1].time_monotonic_s > start_s, 1.1, "a pose")
+        await rig.until(lambda: rig.records_of(Pose)[-1].time_monotonic_s > start_s, 1.1, "a pose")
 
     run_rig(scenario)
 
 
 def test_a_resting_positioner_is_read_seldom_although_its_telemetry_is_never_older_than_0_6_s(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         await asyncio.sleep(10)
         read, reads = rig.positioner.read_telemetry, []
 
@@ -65,9 +65,9 @@ def test_a_resting_positioner_is_read_seldom_although_its_telemetry_is_never_old
             ages_s += [now_s - rig.motion.telemetry.time_monotonic_s, now_s - rig.motion.pose.time_monotonic_s]
         assert len(reads) < 25
         assert max(ages_s) < 0.6
-        drive_b(rig, 80.0)
+        send_foreign_b_target(rig, 80.0)
         start_s = rig.clock.monotonic()
-        await rig.until(lambda: rig.motion.unexplained, 1.1, "that it moved")
+        await rig.until(lambda: rig.motion.unexplained_motion, 1.1, "that it moved")
         assert rig.motion.telemetry.time_monotonic_s >= start_s
 
     run_rig(scenario)
@@ -79,14 +79,14 @@ def test_a_resting_positioner_is_read_seldom_although_its_telemetry_is_never_old
 )
 def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
     async def scenario(rig):
-        await quiet(rig)
-        show(rig, **fields)
+        await wait_for_long_rest(rig)
+        override_telemetry(rig, **fields)
         await asyncio.sleep(1)
         assert not alarms(rig)
         await asyncio.sleep(3)
         assert words in alarms(rig)["motor-current"]
         rig.tracker.alarms.acknowledge("ana")
-        show(rig, a_motor_current_a=2.2, b_motor_current_a=2.2)
+        override_telemetry(rig, a_motor_current_a=2.2, b_motor_current_a=2.2)
         await asyncio.sleep(3)
         (alarm,) = rig.tracker.alarms.active
         assert alarm.text.count("draws more than 1.6 A") == 2
@@ -102,7 +102,7 @@ def test_motor_currents_that_last_are_an_alarm(run_rig, fields, words):
 
 def test_stands_since_tells_when_telemetry_saw_both_axes_come_to_rest(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         before_s = rig.motion.stands_since_s
         assert before_s < now(rig) - 15
         await rig.motion.stop()

@@ -42,7 +42,7 @@ class HandLink:
         assert topic == KEPT
         self._handler = handler
 
-    def trouble(self, subject, sentence):
+    def set_trouble(self, subject, sentence):
         self.troubles[subject] = sentence
 
     def send_now(self, message):
@@ -67,7 +67,7 @@ class Service:
         self.clock = LoopClock(asyncio.get_running_loop().time, T0)
         self.alarms = {}
         self.feed = ArchiveFeed(link, Topics("lab", "roof"), folder, Role.BOTH, 10.0, 400, self.clock, Random(1), 1.0)
-        self.feed.alarm_by(self.alarms.__setitem__)
+        self.feed.set_alarm_callback(self.alarms.__setitem__)
 
     def keep(self, *records, run=None):
         """Keep records by one run of the service, from its beginning to its end."""
@@ -346,7 +346,7 @@ def test_a_broker_that_ends_the_connection_at_a_page_without_a_reason_gets_short
             page = await lab.until("lab/roof/records")
             assert page["through"] == 74
             ends = sender.link.status.connections
-            await until(lambda: len(lab.on("lab/roof/records")) > 2, "the page again")
+            await until(lambda: len(lab.messages_on("lab/roof/records")) > 2, "the page again")
             assert sender.link.status.connections == ends
         sender.store.close()
 

@@ -49,10 +49,10 @@ def test_a_service_that_resumes_obeys_only_dated_commands_and_stops_sent_while_i
             start()
             await lab.until("heliocube/tracker/scan")
             processes[-1].send_signal(signal.SIGSTOP)
-            await lab.say("heliocube/tracker/command/hold", {"id": "of unknown age"})
+            await lab.publish("heliocube/tracker/command/hold", {"id": "of unknown age"})
             now = datetime.now(UTC).isoformat()
-            await lab.say("heliocube/tracker/command/snow", {"id": "dated", "time": now})
-            await lab.say("heliocube/tracker/command/stop", {"id": "a stop"})
+            await lab.publish("heliocube/tracker/command/snow", {"id": "dated", "time": now})
+            await lab.publish("heliocube/tracker/command/stop", {"id": "a stop"})
             await lab.until(STATUS, lambda word: word == "offline")
             processes[-1].send_signal(signal.SIGCONT)
             reply = {
@@ -81,11 +81,11 @@ def test_the_availability_topic_is_right_after_a_crash_a_restart_and_a_clean_sto
             processes[-1].kill()
             await lab.until(STATUS, lambda word: word == "offline")
             assert await found_late() == b"offline"
-            heard = len(lab.on(STATUS))
+            heard = len(lab.messages_on(STATUS))
             start()
             await lab.until(STATUS, lambda word: word == "online", after=heard)
             assert await found_late() == b"online"
-            heard = len(lab.on(STATUS))
+            heard = len(lab.messages_on(STATUS))
             processes[-1].send_signal(signal.SIGTERM)
             await lab.until(STATUS, lambda word: word == "offline", after=heard)
             assert await found_late() == b"offline"

@@ -14,7 +14,7 @@ from daemon.service.rig import Role
 from tests.support import PATIENCE_S, forks
 from tests.support.addresses import free_port
 from tests.support.broker import CERTIFICATES
-from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, run_services, settings_for, until
 
 BASE = "heliocube/tracker"
 OWN = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
@@ -35,7 +35,7 @@ async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
     await rig.until_mode(mode, 400)
     assert any(sentence in text for text in told(rig))
     assert sum(sentence in line.getMessage() for line in log_lines()) == 1
-    assert sum(sentence in record.text for record in rig.of(Event)) == 1
+    assert sum(sentence in record.text for record in rig.records_of(Event)) == 1
 
 
 @pytest.mark.parametrize(
@@ -53,15 +53,15 @@ async def is_told_once_and_tracks(rig, log_lines, sentence, mode=Mode.TRACKING):
     ],
 )
 def test_an_mqtt_link_that_cannot_be_made_is_reported_once_and_the_service_goes_on_tracking(
-    scaled, log_lines, mqtt, sentence
+    run_scaled, log_lines, mqtt, sentence
 ):
     async def scenario():
         rig = broker_rig(1, mqtt=mqtt)
-        async with serving(rig):
+        async with run_services(rig):
             await is_told_once_and_tracks(rig, log_lines, sentence)
         assert rig.mqtt.status.connections == 0
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
@@ -73,16 +73,16 @@ def test_an_mqtt_link_that_cannot_be_made_is_reported_once_and_the_service_goes_
     ],
 )
 def test_a_wrong_certificate_authority_is_reported_once_and_the_service_goes_on_tracking(
-    make_broker, scaled, log_lines, file, sentence
+    make_broker, run_scaled, log_lines, file, sentence
 ):
     broker = make_broker(tls=True).start()
 
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / file, **OWN})
-        async with serving(rig):
+        async with run_services(rig):
             await is_told_once_and_tracks(rig, log_lines, sentence)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
@@ -98,16 +98,16 @@ def test_a_wrong_certificate_authority_is_reported_once_and_the_service_goes_on_
     ],
 )
 def test_a_broker_certificate_that_is_out_of_date_or_for_another_name_is_reported_as_such(
-    make_broker, scaled, certificate, mqtt, sentence
+    make_broker, run_scaled, certificate, mqtt, sentence
 ):
     broker = make_broker(tls=True, certificate=certificate).start()
 
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"tls": True, **mqtt, **OWN})
-        async with serving(rig):
+        async with run_services(rig):
             await until(lambda: sentence in (rig.mqtt.status.down_why or ""), sentence)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
@@ -119,23 +119,23 @@ def test_a_broker_certificate_that_is_out_of_date_or_for_another_name_is_reporte
     ],
 )
 def test_a_broker_without_retained_messages_or_qos_1_is_reported_as_lacking_them(
-    make_broker, scaled, setting, sentence
+    make_broker, run_scaled, setting, sentence
 ):
     broker = make_broker(setting=setting).start()
 
     async def scenario():
         rig = broker_rig(broker.port)
-        async with serving(rig):
+        async with run_services(rig):
             await until(lambda: "not connected yet" not in told(rig), "a reason")
             assert sentence in told(rig)[0]
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_wrong_discovery_prefix_is_reported_once_and_affects_only_home_assistant(broker, scaled, log_lines):
+def test_a_wrong_discovery_prefix_is_reported_once_and_affects_only_home_assistant(broker, run_scaled, log_lines):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"discovery_prefix": "ha/+"})
-        async with observer(broker.port) as lab, serving(rig):
+        async with observer(broker.port) as lab, run_services(rig):
             await is_told_once_and_tracks(
                 rig, log_lines, "so Home Assistant receives nothing: correct it and start again"
             )
@@ -143,20 +143,20 @@ def test_a_wrong_discovery_prefix_is_reported_once_and_affects_only_home_assista
             assert "'ha/+' has a wildcard" in state["mqtt"]["troubles"][0]
             assert "'ha/+' has a wildcard" in (await lab.until(f"{BASE}/event"))["text"]
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_with_a_wrong_bridge_topic_only_the_scans_over_the_broker_are_lost(broker, scaled, log_lines):
+def test_with_a_wrong_bridge_topic_only_the_scans_over_the_broker_are_lost(broker, run_scaled, log_lines):
     bridge = {"transport": "mqtt", "topic": "a/#", "insecure": False, "key_file": "bridge.key"}
 
     async def scenario():
         cube, both = broker_rig(broker.port, Role.CUBE, bridge=bridge), broker_rig(broker.port, bridge=bridge)
-        async with observer(broker.port) as lab, serving(cube, both):
+        async with observer(broker.port) as lab, run_services(cube, both):
             await lab.until("heliocube/cube/state", lambda found: found["scan"])
             assert "so no scan goes over the broker" in cube.mqtt.status.troubles[0]
             await both.until_mode(Mode.TRACKING, 400)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @pytest.mark.parametrize(
@@ -173,22 +173,22 @@ def test_with_a_wrong_bridge_topic_only_the_scans_over_the_broker_are_lost(broke
     ],
 )
 def test_an_unusable_safety_input_stows_the_tracker_after_its_time_limit_and_not_before(
-    broker, scaled, log_lines, inputs, sentence
+    broker, run_scaled, log_lines, inputs, sentence
 ):
     async def scenario():
         rig = broker_rig(broker.port, mqtt=inputs, safety={"wind_stale_s": 150})
-        async with observer(broker.port) as lab, serving(rig):
+        async with observer(broker.port) as lab, run_services(rig):
 
             async def repeat():
                 while True:
-                    await lab.say("dome/one", {"safe": "safe", "wind": 1, "a": {"b": 1}})
+                    await lab.publish("dome/one", {"safe": "safe", "wind": 1, "a": {"b": 1}})
                     await asyncio.sleep(5)
 
             repeating = asyncio.create_task(repeat())
             try:
                 await is_told_once_and_tracks(rig, log_lines, sentence, Mode.STARTING)
                 await rig.until_mode(Mode.STOW, 200)
-                assert not rig.of(Decision), "nothing is tracked before the input has been heard"
+                assert not rig.records_of(Decision), "nothing is tracked before the input has been heard"
                 assert rig.clock.monotonic() >= 150
                 (status,) = rig.mqtt.status.inputs
                 assert (status.age_s, status.stowing) == (None, True)
@@ -196,7 +196,7 @@ def test_an_unusable_safety_input_stows_the_tracker_after_its_time_limit_and_not
                 repeating.cancel()
                 await asyncio.gather(repeating, return_exceptions=True)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @pytest.mark.system

@@ -8,7 +8,7 @@ from daemon.base.records import Mode, Quality, Scan
 from daemon.commands.file_check import check_file
 from daemon.config.file import ConfigError
 from daemon.service.rig import Role
-from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, observer, run_services, settings_for, until
 
 TOPIC = "site/cube/bridge"
 KEYED = {"transport": "mqtt", "topic": TOPIC, "insecure": False, "key_file": "bridge.key"}
@@ -19,19 +19,19 @@ def broker_rig(port, role, mqtt=(), **bridge):
     return BrokerRig(asyncio.get_running_loop(), settings, SPEED, role)
 
 
-def test_trackers_follow_a_cube_over_the_broker_and_refuse_repeated_forged_or_malformed_messages(broker, scaled):
+def test_trackers_follow_a_cube_over_the_broker_and_refuse_repeated_forged_or_malformed_messages(broker, run_scaled):
     async def scenario():
         cube, tracker = broker_rig(broker.port, Role.CUBE), broker_rig(broker.port, Role.TRACKER)
         field = broker_rig(broker.port, Role.TRACKER, mqtt={"name": "field"})
         async with observer(broker.port) as lab:
-            async with serving(cube, tracker, field):
+            async with run_services(cube, tracker, field):
                 await tracker.until_mode(Mode.TRACKING, 500)
-                assert len(tracker.of(Scan)) >= 3
-                assert tracker.of(Scan)[0].session == cube.of(Scan)[0].session
+                assert len(tracker.records_of(Scan)) >= 3
+                assert tracker.records_of(Scan)[0].session == cube.records_of(Scan)[0].session
                 await field.until_mode(Mode.TRACKING, 500)
-                assert {scan.session for scan in field.of(Scan)} == {cube.of(Scan)[0].session}
+                assert {scan.session for scan in field.records_of(Scan)} == {cube.records_of(Scan)[0].session}
                 assert cube.service.sender is None
-                sent = lab.on(TOPIC)
+                sent = lab.messages_on(TOPIC)
                 assert all(message.payload.count(b".") == 2 and not message.retain for message in sent)
                 for name, payload in [
                     ("duplicate", sent[-1].payload),
@@ -39,45 +39,46 @@ def test_trackers_follow_a_cube_over_the_broker_and_refuse_repeated_forged_or_ma
                     ("malformed", b"{}"),
                     ("oversized", b"x" * 3000),
                 ]:
-                    await lab.say(TOPIC, payload)
+                    await lab.publish(TOPIC, payload)
                     refused = tracker.service.receiver
                     await until(lambda name=name, seen=refused: getattr(seen.statistics, name), name)
-                await lab.say("heliocube/cube/command/acknowledge", b'{"by": "lab"}')
+                await lab.publish("heliocube/cube/command/acknowledge", b'{"by": "lab"}')
                 assert (await lab.until("heliocube/cube/reply"))["text"] == "there is nothing to acknowledge"
                 assert "the topic site/cube/bridge" in tracker.service.receiver.statistics.last_refusal
             await until(
-                lambda: {m.payload for m in lab.on("heliocube/cube/status")} == {b"online", b"offline"}, "offline"
+                lambda: {m.payload for m in lab.messages_on("heliocube/cube/status")} == {b"online", b"offline"},
+                "offline",
             )
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_tracker_ignores_a_retained_scan(broker, scaled):
+def test_a_tracker_ignores_a_retained_scan(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            async with serving(broker_rig(broker.port, Role.CUBE)):
+            async with run_services(broker_rig(broker.port, Role.CUBE)):
                 await lab.until(TOPIC)
-            await lab.say(TOPIC, lab.on(TOPIC)[-1].payload, retain=True)
+            await lab.publish(TOPIC, lab.messages_on(TOPIC)[-1].payload, retain=True)
             tracker = broker_rig(broker.port, Role.TRACKER)
-            async with serving(tracker):
+            async with run_services(tracker):
                 await until(lambda: tracker.mqtt.status.connected, "the link")
                 await asyncio.sleep(SPEED)
-                assert not tracker.of(Scan)
+                assert not tracker.records_of(Scan)
                 assert tracker.service.receiver.statistics.refused == 0
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_tracker_in_the_same_process_as_its_cube_gets_scans_without_a_broker(broker, scaled):
+def test_a_tracker_in_the_same_process_as_its_cube_gets_scans_without_a_broker(broker, run_scaled):
     broker.kill()
 
     async def scenario():
         rig = broker_rig(broker.port, Role.BOTH)
-        async with serving(rig):
+        async with run_services(rig):
             await rig.until_mode(Mode.TRACKING, 500)
-            assert all(face.quality is Quality.OK for face in rig.of(Scan)[-1].faces)
+            assert all(face.quality is Quality.OK for face in rig.records_of(Scan)[-1].faces)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,12 @@ from daemon.base.records import Mode
 from daemon.config.links import MqttSettings
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.dates import Dates
+from daemon.mqtt.dates import ReplayGuard
 from daemon.mqtt.outbox import Lane, Message, Outbox
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
-from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
-from tests.support.phases import tracking
+from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, run_services, settings_for, until
+from tests.support.phases import wait_for_tracking
 
 BASE = "heliocube/tracker"
 UTC_S = 1665742815.0
@@ -26,53 +26,53 @@ def broker_rig(port, **mqtt):
     return BrokerRig(asyncio.get_running_loop(), settings_for(port, mqtt=mqtt), SPEED)
 
 
-def test_an_empty_message_as_sent_to_clear_a_retained_command_is_refused_and_changes_nothing(broker, scaled):
+def test_an_empty_message_as_sent_to_clear_a_retained_command_is_refused_and_changes_nothing(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
-            async with serving(rig):
+            async with run_services(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
-                await lab.say(f"{BASE}/command/stop", {"why": "a person"})
+                await lab.publish(f"{BASE}/command/stop", {"why": "a person"})
                 await lab.until(f"{BASE}/reply", lambda reply: reply["accepted"])
                 for payload, retain in ((b"", True), (b"", False), (b" \n", False)):
-                    count = len(lab.on(f"{BASE}/reply"))
-                    await lab.say(f"{BASE}/command/auto", payload, retain=retain)
+                    count = len(lab.messages_on(f"{BASE}/reply"))
+                    await lab.publish(f"{BASE}/command/auto", payload, retain=retain)
                     reply = await lab.until(f"{BASE}/reply", after=count)
                     assert reply["accepted"] is False
                     assert "no command" in reply["text"] or "retained" in reply["text"]
                 assert rig.control.wishes.stop is not None
-                await lab.say(f"{BASE}/command/auto", {})
+                await lab.publish(f"{BASE}/command/auto", {})
                 await lab.until(f"{BASE}/reply", lambda reply: reply["accepted"] and reply["command"] == "auto")
                 assert rig.control.wishes.stop is None
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
-def test_a_command_that_is_published_retained_while_the_service_is_connected_does_nothing(broker, scaled):
+def test_a_command_that_is_published_retained_while_the_service_is_connected_does_nothing(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
-            async with serving(rig):
+            async with run_services(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
                 for name in ("stow", "stop", "goto"):
-                    count = len(lab.on(f"{BASE}/reply"))
-                    await lab.say(f"{BASE}/command/{name}", {"why": "to stay"}, retain=True)
+                    count = len(lab.messages_on(f"{BASE}/reply"))
+                    await lab.publish(f"{BASE}/command/{name}", {"why": "to stay"}, retain=True)
                     reply = await lab.until(f"{BASE}/reply", after=count)
                     assert (reply["command"], reply["accepted"]) == (name, False)
                     assert "retained" in reply["text"]
                 assert rig.mode is Mode.TRACKING
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_among_them_is_carried_out(
-    broker, scaled, log_lines
+    broker, run_scaled, log_lines
 ):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port, dated_commands=False)
-            async with serving(rig):
+            async with run_services(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
                 began_s = time.monotonic()
                 for number in range(400):
@@ -80,21 +80,21 @@ def test_a_flood_of_commands_is_answered_and_logged_within_bounds_and_a_stop_amo
                     payload = {"mode": "none"} if name == "nonsense" else {"why": f"flood {number}"}
                     topic = f"{BASE}/command/{'mode' if name == 'nonsense' else name}"
                     await lab.client.publish(topic, json.dumps(payload), qos=0)
-                await lab.say(f"{BASE}/command/stop", {"why": "a person", "id": "mine"})
+                await lab.publish(f"{BASE}/command/stop", {"why": "a person", "id": "mine"})
                 await until(lambda: rig.control.wishes.stop is not None, "the stop")
                 assert rig.control.wishes.stop.why == "a person"
                 own = await lab.until(f"{BASE}/reply", lambda reply: reply["id"] == "mine")
                 assert own["accepted"], own
                 await until(lambda: not rig.mqtt._commands._running, "the end of the commands")
                 await until(lambda: rig.mqtt.status.waiting == 0, "all replies")
-            replies = lab.on(f"{BASE}/reply")
+            replies = lab.messages_on(f"{BASE}/reply")
             # Of each of the two kinds 50 are answered at once, and then ten a second: a slow machine hears more.
             assert 20 <= len(replies) <= 110 + 22 * (time.monotonic() - began_s)
             refused = [line for line in log_lines() if "over MQTT" in line.getMessage()]
             assert 1 <= len(refused) <= 8
             assert any("only their number is logged" in line.getMessage() for line in refused)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 def test_queued_replies_do_not_push_out_telemetry_and_keep_their_place_among_it():
@@ -140,7 +140,7 @@ class Given:
 
     def __init__(self, **settings):
         self.clock = Watch()
-        self.dates = Dates(MqttSettings(**settings), self.clock)
+        self.dates = ReplayGuard(MqttSettings(**settings), self.clock)
 
     def refusal(self, name="stow", off_s=0.0, dated=True, identifier="1"):
         body = {} if identifier is None else {"id": identifier}
@@ -276,7 +276,7 @@ def test_a_command_over_http_with_a_time_is_refused():
 
 def test_a_stop_is_carried_out_however_many_commands_wait_for_their_replies(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         replies = []
         commands = Commands(Operators([rig.tracker], 1.0), replies.append, MqttSettings(), rig.clock)
 

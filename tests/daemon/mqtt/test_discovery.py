@@ -12,7 +12,7 @@ from daemon.mqtt.discovery import discovery
 from daemon.mqtt.topics import Topics
 from daemon.tracker.wishes import Wishes
 from tests.support import home_assistant
-from tests.support.mqtt import SPEED, BrokerRig, observer, serving, settings_for
+from tests.support.mqtt import SPEED, BrokerRig, observer, run_services, settings_for
 
 TOPICS = Topics("lab/rig", "roof tracker")
 TOPIC = "homeassistant/device/lab_rig_roof_tracker/config"
@@ -27,7 +27,7 @@ def document(**what):
 
 @pytest.mark.parametrize("what", [{}, {"commands": False}, {"tracker": False}, {"simulated": False}])
 def test_the_discovery_document_has_the_form_that_home_assistant_documents(what):
-    assert home_assistant.faults(TOPIC, document(**what)) == []
+    assert home_assistant.discovery_errors(TOPIC, document(**what)) == []
 
 
 def test_the_discovery_document_has_every_kind_of_entity_with_unique_names():
@@ -80,7 +80,7 @@ def test_the_discovery_document_has_every_kind_of_entity_with_unique_names():
 def test_the_checker_of_discovery_documents_finds_faults_that_home_assistant_would_refuse(change, part):
     found = document()
     change(found)
-    assert part in "\n".join(home_assistant.faults(TOPIC, found))
+    assert part in "\n".join(home_assistant.discovery_errors(TOPIC, found))
 
 
 @pytest.mark.parametrize("simulated", [True, False])
@@ -102,28 +102,28 @@ def test_without_commands_or_without_a_tracker_their_entities_are_listed_as_remo
     assert cube["irradiance_east"]["device_class"] == "irradiance"
 
 
-def test_the_home_assistant_device_appears_by_itself_and_vanishes_when_discovery_is_off(broker, scaled):
+def test_the_home_assistant_device_appears_by_itself_and_vanishes_when_discovery_is_off(broker, run_scaled):
     topic = "homeassistant/device/heliocube_tracker/config"
 
     async def scenario():
         for switched_on in (True, False):
             settings = settings_for(broker.port, mqtt={"discovery": switched_on})
             rig = BrokerRig(asyncio.get_running_loop(), settings, SPEED)
-            async with observer(broker.port) as lab, serving(rig):
+            async with observer(broker.port) as lab, run_services(rig):
                 await lab.until("heliocube/tracker/scan")
             async with observer(broker.port) as late:
                 await late.until("heliocube/tracker/status")
                 await asyncio.sleep(SPEED / 2)
-                assert bool(late.on(topic)) is switched_on
+                assert bool(late.messages_on(topic)) is switched_on
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_every_home_assistant_template_finds_its_value_in_the_state_and_buttons_send_commands(broker, scaled):
+def test_every_home_assistant_template_finds_its_value_in_the_state_and_buttons_send_commands(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
-            async with serving(rig):
+            async with run_services(rig):
                 found = await lab.until("homeassistant/device/heliocube_tracker/config")
                 tracking = await lab.until("heliocube/tracker/state", lambda s: s["mode"]["name"] == "tracking")
                 first = await lab.until("heliocube/tracker/state")
@@ -159,16 +159,16 @@ def test_every_home_assistant_template_finds_its_value_in_the_state_and_buttons_
                 assert _rendered(components["irradiance_south"], tracking) is None
                 assert _rendered(components["irradiance_east"], tracking) is not None
                 button = components["press_stow"]
-                await lab.say(button["command_topic"], button["payload_press"])
+                await lab.publish(button["command_topic"], button["payload_press"])
                 assert (await lab.until(components["reply"]["state_topic"]))["accepted"] is True
                 await rig.until_mode(Mode.STOW, 100)
-                await lab.say(components["press_hold"]["command_topic"], "{}")
+                await lab.publish(components["press_hold"]["command_topic"], "{}")
                 refused = await lab.until("heliocube/tracker/reply", lambda reply: not reply["accepted"])
                 assert _rendered(components["reply"], refused).startswith("hold refused: no hold while the tracker is")
                 assert _rendered(components["reply"], {**refused, "accepted": True}).startswith("hold: no hold")
                 assert len(_rendered(components["reply"], {**refused, "text": "a" * 300})) == 255
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 ALARMS = [

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from daemon.mqtt import telemetry
-from daemon.service.operator_commands import NAMES
+from daemon.service.operator_commands import COMMAND_NAMES
 from daemon.store.tables import COLUMNS
 from tests.support import DOCS
 
@@ -23,4 +23,4 @@ def test_docs_mqtt_md_names_all_topics_and_no_others():
     kinds = {name.removesuffix("s") for name, _ in COLUMNS.values()}
     assert set(telemetry._MANNERS) == kinds
     assert set(ROWS) == kinds | {"status", "state", "reply", "records"}
-    assert set(re.findall(r"\| `command/(\w+)` \|", PAGE)) == set(NAMES)
+    assert set(re.findall(r"\| `command/(\w+)` \|", PAGE)) == set(COMMAND_NAMES)

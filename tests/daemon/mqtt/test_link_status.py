@@ -9,15 +9,15 @@ from rich.console import Console
 from daemon.api.metrics import Metrics
 from daemon.base.records import Mode
 from daemon.commands.status.screen import render
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.snapshot import snapshot
 from daemon.service.state import state_json
-from tests.support.mqtt import SPEED, BrokerRig, calm, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, observer, report_safe_inputs, run_services, settings_for, until
 
 
 def seen_of(rig):
     """Return the metrics by name and label, and the lines of the status."""
-    seen = snapshot(rig.service, Recent(), SPEED, None, {rig.tracker.name: rig.mqtt.status})
+    seen = snapshot(rig.service, RecentRecords(), SPEED, None, {rig.tracker.name: rig.mqtt.status})
     metrics = Metrics(seen, {}).text().decode()
     values = dict(line.rsplit(" ", 1) for line in metrics.splitlines() if line.startswith("heliocube_mqtt"))
     shown = io.StringIO()
@@ -25,7 +25,7 @@ def seen_of(rig):
     return {name: float(value) for name, value in values.items()}, shown.getvalue()
 
 
-def test_metrics_and_status_show_the_mqtt_link_its_queue_its_losses_and_the_safety_inputs(broker, scaled):
+def test_metrics_and_status_show_the_mqtt_link_its_queue_its_losses_and_the_safety_inputs(broker, run_scaled):
     inputs = {"wind": {"topic": "weather"}, "safe": {"topic": "weather", "json_path": "ok", "stale_s": 3600}}
 
     async def scenario():
@@ -40,11 +40,11 @@ def test_metrics_and_status_show_the_mqtt_link_its_queue_its_losses_and_the_safe
         assert 'heliocube_mqtt_input_age_seconds{input="wind",tracker="tracker"}' not in metrics
         assert re.search(r"mqtt +not connected since .+: not connected yet; 0 messages waiting", shown)
         assert re.search(r"wind +nothing heard yet on weather", shown)
-        async with serving(rig):
+        async with run_services(rig):
             async with observer(broker.port) as lab:
                 await until(lambda: rig.service.acquisition.ready, "the cube")
                 await until(lambda: rig.mqtt.status.sent > 6, "the link")
-                await lab.say("weather", "30")
+                await lab.publish("weather", "30")
                 await rig.until_mode(Mode.STOW, 100)
             metrics, shown = seen_of(rig)
             assert (
@@ -75,23 +75,23 @@ def test_metrics_and_status_show_the_mqtt_link_its_queue_its_losses_and_the_safe
             await until(lambda: rig.mqtt.status.connections == 2, "the way back")
             assert seen_of(rig)[0]['heliocube_mqtt_connections_total{tracker="tracker"}'] == 2
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_wind_and_safety_may_come_on_one_topic(broker, scaled):
+def test_wind_and_safety_may_come_on_one_topic(broker, run_scaled):
     inputs = {"wind": {"topic": "weather", "json_path": "wind"}, "safe": {"topic": "weather", "json_path": "ok"}}
 
     async def scenario():
         rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
-        async with observer(broker.port) as lab, serving(rig):
-            await calm(rig, lab, {"weather": {"wind": 3, "ok": "safe"}})
+        async with observer(broker.port) as lab, run_services(rig):
+            await report_safe_inputs(rig, lab, {"weather": {"wind": 3, "ok": "safe"}})
             await rig.until_mode(Mode.TRACKING, 400)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 def test_a_message_that_one_handler_fails_on_is_reported_once_and_other_handlers_still_get_it(
-    broker, scaled, log_lines
+    broker, run_scaled, log_lines
 ):
     async def scenario():
         rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port), SPEED)
@@ -103,16 +103,16 @@ def test_a_message_that_one_handler_fails_on_is_reported_once_and_other_handlers
 
         for handler in (take, lambda message: heard.append(message.payload)):
             rig.mqtt.link.listen("lab/topic", handler)
-        async with observer(broker.port) as lab, serving(rig):
+        async with observer(broker.port) as lab, run_services(rig):
             await until(lambda: rig.mqtt.status.connected, "the link")
             for payload in (b"bad", b"good", b"bad"):
-                await lab.say("lab/topic", payload)
+                await lab.publish("lab/topic", payload)
             await until(lambda: len(heard) == 3, "all messages")
             sentence = "a message on lab/topic cannot be used: RecursionError('bad')"
             assert rig.mqtt.status.troubles == (sentence,)
             assert [line.getMessage() for line in log_lines()].count(sentence) == 1
-            await lab.say("lab/topic", b"good")
+            await lab.publish("lab/topic", b"good")
             await until(lambda: not rig.mqtt.status.troubles, "the end of the trouble")
             assert rig.mqtt.status.connections == 1
 
-    scaled(scenario)
+    run_scaled(scenario)

@@ -210,7 +210,7 @@ def test_control_decides_in_the_same_rhythm_with_a_dead_broker_as_without_mqtt(c
                 await asyncio.sleep(2400)
                 stop.set()
                 await serving
-                return [record.time_monotonic_s for record in rig.of(Decision)]
+                return [record.time_monotonic_s for record in rig.records_of(Decision)]
 
             return runner.run(scenario())
 

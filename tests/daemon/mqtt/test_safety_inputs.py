@@ -9,9 +9,9 @@ from daemon.base.records import Mode
 from daemon.config.links import SafeInput, WindInput
 from daemon.config.sections import SafetySettings
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.safety_inputs import SafeStow, WindReadings
+from daemon.mqtt.safety_inputs import SafeInputStow, WindReadings
 from daemon.tracker.stow import WindStow
-from tests.support.mqtt import SPEED, BrokerRig, calm, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, observer, report_safe_inputs, run_services, settings_for, until
 
 
 class Told:
@@ -169,7 +169,7 @@ def test_a_wind_message_of_64_kib_is_accepted_and_a_longer_one_refused():
 def safe(heard_s=0.0, **settings):
     told, woken = Told(), []
     return (
-        SafeStow(SafeInput(topic="lab/safe", **settings), lambda: heard_s, lambda: woken.append(1), told),
+        SafeInputStow(SafeInput(topic="lab/safe", **settings), lambda: heard_s, lambda: woken.append(1), told),
         told,
         woken,
     )
@@ -273,23 +273,23 @@ def test_json_truth_values_and_numbers_can_be_the_words_for_safe_and_unsafe(good
     assert not told.now
 
 
-def test_a_storm_reported_over_mqtt_stows_the_tracker_and_an_unusable_wind_message_is_shown(broker, scaled):
+def test_a_storm_reported_over_mqtt_stows_the_tracker_and_an_unusable_wind_message_is_shown(broker, run_scaled):
     async def scenario():
         inputs = {"wind": {"topic": "weather/roof", "json_path": "wind.speed"}, "safe": {"topic": "dome/safe"}}
         async with observer(broker.port) as lab:
             rig = BrokerRig(asyncio.get_running_loop(), settings_for(broker.port, mqtt=inputs), SPEED)
-            async with serving(rig):
-                await calm(rig, lab, {"weather/roof": {"wind": {"speed": 3}}, "dome/safe": "safe"})
+            async with run_services(rig):
+                await report_safe_inputs(rig, lab, {"weather/roof": {"wind": {"speed": 3}}, "dome/safe": "safe"})
                 await rig.until_mode(Mode.TRACKING, 400)
-                await lab.say("weather/roof", {"gust": 3})
+                await lab.publish("weather/roof", {"gust": 3})
                 troubles = await until(lambda: rig.mqtt.status.troubles, "a sentence")
                 assert "mqtt.wind of weather/roof cannot be used: the message has nothing at wind.speed" in troubles
-                await lab.say("weather/roof", {"wind": {"speed": 25}})
+                await lab.publish("weather/roof", {"wind": {"speed": 25}})
                 await rig.until_mode(Mode.STOW, 100)
                 assert "wind 25.0 m/s" in rig.control.why
                 await until(lambda: not rig.mqtt.status.troubles, "its end")
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 def test_a_stow_resumed_after_a_restart_lasts_its_minimum_stay_from_the_first_safe_message():

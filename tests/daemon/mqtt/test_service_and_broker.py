@@ -8,7 +8,7 @@ from daemon.base.records import Mode
 from daemon.mqtt.outbox import Message
 from daemon.service.operator import CommandError, Operator
 from tests.support.broker import CERTIFICATES
-from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, serving, settings_for, until
+from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, run_services, settings_for, until
 
 BASE = "heliocube/tracker"
 
@@ -17,11 +17,11 @@ def broker_rig(port, **sections):
     return BrokerRig(asyncio.get_running_loop(), settings_for(port, **sections), SPEED)
 
 
-def test_state_scans_decisions_poses_modes_moves_and_events_are_published_as_simulated(broker, scaled):
+def test_state_scans_decisions_poses_modes_moves_and_events_are_published_as_simulated(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
-            async with serving(rig):
+            async with run_services(rig):
                 assert await lab.until(f"{BASE}/status") == "online"
                 told = [await lab.until(f"{BASE}/{kind}") for kind in ("state", "scan", "decision", "pose", "mode")]
                 assert all(message["simulated"] is True for message in told)
@@ -37,13 +37,13 @@ def test_state_scans_decisions_poses_modes_moves_and_events_are_published_as_sim
                 assert event["simulated"] is True
             assert await lab.until(f"{BASE}/status", lambda word: word == "offline") == "offline"
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_late_subscriber_finds_availability_state_pose_decision_and_mode_retained(broker, scaled):
+def test_a_late_subscriber_finds_availability_state_pose_decision_and_mode_retained(broker, run_scaled):
     async def scenario():
         rig = broker_rig(broker.port)
-        async with serving(rig):
+        async with run_services(rig):
             await until(lambda: rig.control.state.decision, "a decision")
             await until(lambda: rig.mqtt.status.waiting == 0, "an empty queue")
             await asyncio.sleep(SPEED)
@@ -54,20 +54,20 @@ def test_a_late_subscriber_finds_availability_state_pose_decision_and_mode_retai
                 assert kept >= {"status", "state", "pose", "decision", "mode"}
                 assert not kept & {"scan", "event", "move", "reply"}
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_mqtt_commands_are_answered_and_obey_the_same_rules_as_commands_by_other_ways(broker, scaled):
+def test_mqtt_commands_are_answered_and_obey_the_same_rules_as_commands_by_other_ways(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
-            async with serving(rig):
+            async with run_services(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
                 count = 0
 
                 async def ask(name, payload=b"{}"):
                     nonlocal count
-                    await lab.say(f"{BASE}/command/{name}", payload)
+                    await lab.publish(f"{BASE}/command/{name}", payload)
                     reply = await lab.until(f"{BASE}/reply", after=count)
                     count += 1
                     return reply
@@ -114,41 +114,41 @@ def test_mqtt_commands_are_answered_and_obey_the_same_rules_as_commands_by_other
                     assert part in reply["text"]
                 assert rig.mode is Mode.HOLD
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_retained_command_is_ignored_and_the_reply_says_so(broker, scaled):
+def test_a_retained_command_is_ignored_and_the_reply_says_so(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
-            await lab.say(f"{BASE}/command/stow", {"why": "long ago"}, retain=True)
+            await lab.publish(f"{BASE}/command/stow", {"why": "long ago"}, retain=True)
             rig = broker_rig(broker.port)
-            async with serving(rig):
+            async with run_services(rig):
                 reply = await lab.until(f"{BASE}/reply")
                 assert reply["accepted"] is False
                 assert "retained" in reply["text"]
                 await rig.until_mode(Mode.TRACKING, 400)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_with_mqtt_commands_switched_off_a_command_neither_stows_the_tracker_nor_gets_a_reply(broker, scaled):
+def test_with_mqtt_commands_switched_off_a_command_neither_stows_the_tracker_nor_gets_a_reply(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port, mqtt={"commands": False})
-            async with serving(rig):
+            async with run_services(rig):
                 await rig.until_mode(Mode.TRACKING, 400)
-                await lab.say(f"{BASE}/command/stow", {})
-                await lab.until(f"{BASE}/scan", after=len(lab.on(f"{BASE}/scan")) + 1)
+                await lab.publish(f"{BASE}/command/stow", {})
+                await lab.until(f"{BASE}/scan", after=len(lab.messages_on(f"{BASE}/scan")) + 1)
                 assert rig.mode is Mode.TRACKING
-                assert not lab.on(f"{BASE}/reply")
+                assert not lab.messages_on(f"{BASE}/reply")
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_tracking_goes_on_after_the_broker_is_killed_and_status_and_state_are_right_on_its_return(broker, scaled):
+def test_tracking_goes_on_after_the_broker_is_killed_and_status_and_state_are_right_on_its_return(broker, run_scaled):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"queue_messages": 10})
-        async with serving(rig):
+        async with run_services(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             await until(lambda: rig.mqtt.status.connected, "the link")
             broker.kill()
@@ -165,13 +165,13 @@ def test_tracking_goes_on_after_the_broker_is_killed_and_status_and_state_are_ri
             told = [event.text for event in rig.records if getattr(event, "subject", "") == "mqtt"]
             assert any("messages were dropped" in text for text in told)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_retained_messages_are_right_after_an_outage_that_filled_the_queue_and_emptied_the_broker(broker, scaled):
+def test_retained_messages_are_right_after_an_outage_that_filled_the_queue_and_emptied_the_broker(broker, run_scaled):
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"queue_messages": 10})
-        async with serving(rig):
+        async with run_services(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             await until(lambda: rig.mqtt.status.waiting == 0, "an empty queue")
             broker.kill()
@@ -183,26 +183,26 @@ def test_retained_messages_are_right_after_an_outage_that_filled_the_queue_and_e
                 assert (await late.until(f"{BASE}/mode"))["after"] == "hold"
                 assert (await late.until(f"{BASE}/decision"))["moved"] is True
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_false_offline_status_on_the_broker_is_corrected(broker, scaled):
+def test_a_false_offline_status_on_the_broker_is_corrected(broker, run_scaled):
     async def scenario():
         async with observer(broker.port) as lab:
             rig = broker_rig(broker.port)
-            async with serving(rig):
+            async with run_services(rig):
                 await lab.until(f"{BASE}/status", lambda word: word == "online")
-                heard = len(lab.on(f"{BASE}/status"))
-                await lab.say(f"{BASE}/status", "offline", retain=True)
+                heard = len(lab.messages_on(f"{BASE}/status"))
+                await lab.publish(f"{BASE}/status", "offline", retain=True)
                 assert await lab.until(f"{BASE}/status", lambda word: word == "online", after=heard) == "online"
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_hung_broker_is_noticed_and_the_service_goes_on_and_reconnects(broker, scaled):
+def test_a_hung_broker_is_noticed_and_the_service_goes_on_and_reconnects(broker, run_scaled):
     async def scenario():
         rig = broker_rig(broker.port)
-        async with serving(rig):
+        async with run_services(rig):
             await until(lambda: rig.mqtt.status.connected, "the link")
             broker.hang()
             try:
@@ -211,17 +211,17 @@ def test_a_hung_broker_is_noticed_and_the_service_goes_on_and_reconnects(broker,
                 await asyncio.sleep(3 * SPEED)
                 assert len(rig.records) > scans
             finally:
-                broker.go_on()
+                broker.resume()
             await until(lambda: rig.mqtt.status.connected, "the way back")
             async with observer(broker.port) as late:
                 # Meanwhile the broker has published the will of the old connection, whose end it has missed.
                 await asyncio.sleep(3 * SPEED)
-                assert late.on(f"{BASE}/status")[-1].payload == b"online"
+                assert late.messages_on(f"{BASE}/status")[-1].payload == b"online"
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(broker, scaled):
+def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(broker, run_scaled):
     async def scenario():
         rig = broker_rig(broker.port)
         link = asyncio.create_task(rig.mqtt.link.run())
@@ -236,29 +236,29 @@ def test_a_hung_broker_is_noticed_by_its_silence_when_there_is_nothing_to_send(b
                         await asyncio.sleep(0.0)
                 assert rig.mqtt.status.down_why == f"127.0.0.1:{broker.port} does not answer any more"
             finally:
-                broker.go_on()
+                broker.resume()
         finally:
             link.cancel()
             await asyncio.gather(link, return_exceptions=True)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_the_service_stops_in_time_although_the_broker_hangs(broker, scaled):
+def test_the_service_stops_in_time_although_the_broker_hangs(broker, run_scaled):
     async def scenario():
         rig = broker_rig(broker.port)
-        async with serving(rig):
+        async with run_services(rig):
             await until(lambda: rig.mqtt.status.connected, "the link")
             broker.hang()
-        broker.go_on()
+        broker.resume()
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
 @pytest.mark.parametrize("file", ["svc:wrong", None])
 def test_a_wrong_or_missing_password_is_reported_in_one_sentence_and_the_service_goes_on_tracking(
-    make_broker, scaled, tmp_path, file
+    make_broker, run_scaled, tmp_path, file
 ):
     broker = make_broker(users={"svc": "secret"}).start()
     credentials = None
@@ -269,7 +269,7 @@ def test_a_wrong_or_missing_password_is_reported_in_one_sentence_and_the_service
 
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"credentials_file": credentials})
-        async with serving(rig):
+        async with run_services(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             assert rig.mqtt.status.down_why == (
                 f"127.0.0.1:{broker.port} refuses user or password: see mqtt.credentials_file"
@@ -278,25 +278,27 @@ def test_a_wrong_or_missing_password_is_reported_in_one_sentence_and_the_service
                 credentials.write_text("svc:secret")
                 await until(lambda: rig.mqtt.status.connected, "the link, once the file was corrected")
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_a_password_file_that_others_can_read_keeps_the_link_down_while_the_service_tracks(broker, scaled, tmp_path):
+def test_a_password_file_that_others_can_read_keeps_the_link_down_while_the_service_tracks(
+    broker, run_scaled, tmp_path
+):
     credentials = tmp_path / "credentials"
     credentials.write_text("svc:secret")
     credentials.chmod(0o644)
 
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"credentials_file": credentials})
-        async with serving(rig):
+        async with run_services(rig):
             await rig.until_mode(Mode.TRACKING, 400)
             assert "chmod 640" in rig.mqtt.status.down_why
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
-def test_a_topic_that_the_access_list_forbids_is_reported_in_one_sentence(make_broker, scaled, tmp_path):
+def test_a_topic_that_the_access_list_forbids_is_reported_in_one_sentence(make_broker, run_scaled, tmp_path):
     broker = make_broker(users={"svc": "secret"}, acl="user svc\ntopic read lab/#\n").start()
     credentials = tmp_path / "credentials"
     credentials.write_text("svc:secret")
@@ -304,7 +306,7 @@ def test_a_topic_that_the_access_list_forbids_is_reported_in_one_sentence(make_b
 
     async def scenario():
         rig = broker_rig(broker.port, mqtt={"credentials_file": credentials})
-        async with serving(rig):
+        async with run_services(rig):
 
             def sentences():
                 # Some versions of the broker end the connection, others keep silent.
@@ -316,17 +318,17 @@ def test_a_topic_that_the_access_list_forbids_is_reported_in_one_sentence(make_b
             assert "this user read and write heliocube/tracker/#" in told[0]
             await rig.until_mode(Mode.TRACKING, 400)
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
-def test_tls_connects_with_the_right_authority_and_certificate_and_reports_wrong_ones(make_broker, scaled):
+def test_tls_connects_with_the_right_authority_and_certificate_and_reports_wrong_ones(make_broker, run_scaled):
     broker = make_broker(tls=True).start()
     own = {"certificate_file": CERTIFICATES / "client.pem", "certificate_key_file": CERTIFICATES / "client.key"}
 
     async def scenario():
         right = broker_rig(broker.port, mqtt={"tls": True, "ca_file": CERTIFICATES / "ca.pem", **own})
-        async with serving(right):
+        async with run_services(right):
             await until(lambda: right.mqtt.status.connected, "the link")
         for mqtt, part in [
             ({"ca_file": CERTIFICATES / "other-ca.pem", **own}, "certificate that mqtt.ca_file does not confirm"),
@@ -335,33 +337,36 @@ def test_tls_connects_with_the_right_authority_and_certificate_and_reports_wrong
             ({"ca_file": CERTIFICATES / "ca.pem"}, f"127.0.0.1:{broker.port}"),
         ]:
             rig = broker_rig(broker.port, mqtt={"tls": True, **mqtt})
-            async with serving(rig):
+            async with run_services(rig):
                 await until(lambda rig=rig: rig.mqtt.link._backoff._delay_s > 1.0, "a refusal")
                 assert part in rig.mqtt.status.down_why
                 assert not rig.mqtt.status.connected
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 @needs_mosquitto
-def test_two_services_with_the_same_client_id_do_not_endlessly_disconnect_each_other(broker, scaled, log_lines):
+def test_two_services_with_the_same_client_id_do_not_endlessly_disconnect_each_other(broker, run_scaled, log_lines):
     async def scenario():
         first, second = (broker_rig(broker.port, mqtt={"client_id": "same", "name": name}) for name in ("one", "two"))
         async with observer(broker.port) as lab:
-            async with serving(first, second):
+            async with run_services(first, second):
                 await asyncio.sleep(200)
             births = [
-                m for name in ("one", "two") for m in lab.on(f"heliocube/{name}/status") if m.payload == b"online"
+                m
+                for name in ("one", "two")
+                for m in lab.messages_on(f"heliocube/{name}/status")
+                if m.payload == b"online"
             ]
             assert 4 <= len(births) <= 40
             down = [line.getMessage() for line in log_lines() if "broker is down" in line.getMessage()]
             assert any("ended the connection" in line for line in down)
             assert len(down) <= 4
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
-def test_ten_thousand_messages_wait_for_the_broker_and_come_in_order(make_broker, scaled):
+def test_ten_thousand_messages_wait_for_the_broker_and_come_in_order(make_broker, run_scaled):
     broker = make_broker()
 
     async def scenario():
@@ -380,7 +385,7 @@ def test_ten_thousand_messages_wait_for_the_broker_and_come_in_order(make_broker
                 await asyncio.gather(serve, return_exceptions=True)
             assert [int(message.payload) for message in lab.heard] == list(range(500, 10_500))
 
-    scaled(scenario)
+    run_scaled(scenario)
 
 
 def _numbered(count):

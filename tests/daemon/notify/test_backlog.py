@@ -23,8 +23,8 @@ __all__ = ["lab", "place", "told"]
 )
 def test_quiet_hours_may_go_over_midnight(begin, end, quiet, loud):
     hours = QuietHours(begin, end)
-    assert all(hours.holds(time.fromisoformat(at)) for at in quiet)
-    assert not any(hours.holds(time.fromisoformat(at)) for at in loud)
+    assert all(hours.is_quiet_at(time.fromisoformat(at)) for at in quiet)
+    assert not any(hours.is_quiet_at(time.fromisoformat(at)) for at in loud)
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from daemon.base.timeloop import virtual_time
 from daemon.config.links import NotifySettings
 from daemon.notify.courier import Courier
 from daemon.notify.recipients import recipients_of
-from daemon.notify.told import ToldFile
+from daemon.notify.told import NotificationStateFile
 
 pytestmark = pytest.mark.slow
 
@@ -171,7 +171,7 @@ def told(lab, tmp_path):
             clock = HandClock()
             async with httpx.AsyncClient(trust_env=False) as client:
                 service = parse_address(lab.address)
-                file = ToldFile(StateFolder(tmp_path))
+                file = NotificationStateFile(StateFolder(tmp_path))
                 courier = Courier(chosen, [service], recipients_of(people), clock, client, file=file)
 
                 async def step(after_s=10.0):

@@ -8,7 +8,7 @@ from threading import Thread
 
 import pytest
 
-from daemon.notify.courier import beat
+from daemon.notify.courier import send_heartbeat
 from tests.support.addresses import free_port
 from tests.support.broker import CERTIFICATES
 
@@ -30,7 +30,7 @@ def told_of_server(certificate):
     with socket.create_server(("127.0.0.1", 0)) as listening:
         server = Thread(target=answer)
         server.start()
-        told = asyncio.run(beat(f"https://127.0.0.1:{listening.getsockname()[1]}/ping"))
+        told = asyncio.run(send_heartbeat(f"https://127.0.0.1:{listening.getsockname()[1]}/ping"))
         server.join()
     return told
 
@@ -52,7 +52,7 @@ def test_each_failure_of_the_heartbeat_over_https_is_reported_with_its_own_cause
 
 
 def test_the_heartbeat_reports_an_unknown_host_name_and_a_port_where_nothing_listens_differently():
-    assert asyncio.run(beat("http://nowhere.invalid/ping")) == "its name cannot be resolved"
-    assert asyncio.run(beat(f"http://127.0.0.1:{free_port()}/ping")) == "nothing listens there"
+    assert asyncio.run(send_heartbeat("http://nowhere.invalid/ping")) == "its name cannot be resolved"
+    assert asyncio.run(send_heartbeat(f"http://127.0.0.1:{free_port()}/ping")) == "nothing listens there"
     # Where localhost has two addresses, both are tried.
-    assert asyncio.run(beat(f"http://localhost:{free_port()}/ping")) == "nothing listens there"
+    assert asyncio.run(send_heartbeat(f"http://localhost:{free_port()}/ping")) == "nothing listens there"

@@ -9,7 +9,7 @@ from apprise.decorators import notify
 from daemon.base.errors import UserError
 from daemon.config.links import NotifySettings
 from daemon.notify import recipients
-from daemon.notify.courier import test as try_out
+from daemon.notify.courier import send_test_notice as try_out
 from daemon.notify.notices import Notice
 from daemon.notify.recipients import recipients_of
 from tests.daemon.notify.test_courier import lab

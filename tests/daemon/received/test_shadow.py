@@ -10,10 +10,10 @@ from daemon.base.errors import UserError
 from daemon.base.records import Decision, Event, Mode, Move
 from daemon.commands.file_check import check_file
 from daemon.service.operator import Operator
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.state import state_json
 from solar.laws.chronometric import ChronometricLaw
-from tests.support.rig import HandWeather
+from tests.support.rig import ManualWeather
 
 SELDOM = {
     "cube": {"scan_every_s": 30},
@@ -21,20 +21,20 @@ SELDOM = {
     "safety": {"scan_stale_s": 65, "fallback_after_s": 600},
     "rest_look_s": 30.0,
 }
-OVERCAST = HandWeather(dni=0, dhi=150)
+OVERCAST = ManualWeather(dni=0, dhi=150)
 
 
-class Flickering(HandWeather):
+class Flickering(ManualWeather):
     def at(self, utc_s):
         return replace(super().at(utc_s), dni_w_m2=self.dni * (utc_s // 600 % 2))
 
 
 def seen(rig):
-    return state_json(rig.see(Recent()))["shadow"]
+    return state_json(rig.take_snapshot(RecentRecords()))["shadow"]
 
 
 def told(rig):
-    return [event.text for event in rig.of(Event) if event.subject == "shadow"]
+    return [event.text for event in rig.records_of(Event) if event.subject == "shadow"]
 
 
 async def until_known(rig, seconds):
@@ -55,7 +55,7 @@ async def most_of_an_hour(rig):
 def test_under_an_overcast_sky_a_flat_shadow_law_gains_over_chronometric_and_moves_nothing(run_rig):
     async def scenario(rig):
         await most_of_an_hour(rig)
-        own, shadow = state_json(rig.see(Recent()))["received"], seen(rig)
+        own, shadow = state_json(rig.take_snapshot(RecentRecords()))["received"], seen(rig)
         # Both are in the same light, and the law in the shadow is the best one here.
         assert shadow["received"]["actual_kwh_m2"] == pytest.approx(own["best_kwh_m2"], rel=0.02)
         assert shadow["gain"] == pytest.approx(own["best_kwh_m2"] / own["actual_kwh_m2"] - 1.0, abs=0.02)
@@ -66,7 +66,7 @@ def test_under_an_overcast_sky_a_flat_shadow_law_gains_over_chronometric_and_mov
         assert shadow["active_moves"] >= 5
 
     rig = run_rig(scenario, law={"driver": "chronometric", "shadow": "flat"}, weather=OVERCAST, **SELDOM)
-    assert {decision.law for decision in rig.of(Decision)} == {"chronometric"}
+    assert {decision.law for decision in rig.records_of(Decision)} == {"chronometric"}
     assert rig.truth().b_deg < 60.0
 
 
@@ -155,14 +155,14 @@ def test_a_shadow_law_that_raises_is_reported_once_and_the_tracker_goes_on(run_r
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await rig.until(lambda: told(rig), 600, "the failure")
-        moves = len(rig.of(Decision))
-        await rig.until(lambda: len(rig.of(Decision)) > moves + 1, 900, "two more decisions")
+        moves = len(rig.records_of(Decision))
+        await rig.until(lambda: len(rig.records_of(Decision)) > moves + 1, 900, "two more decisions")
         assert seen(rig)["failed_why"] == "RuntimeError: no such sky"
 
     rig = run_rig(scenario, law={"driver": "mu-prime", "shadow": "chronometric"})
     assert len(told(rig)) == 1
     assert rig.mode is Mode.TRACKING
-    assert rig.of(Move)
+    assert rig.records_of(Move)
 
 
 @pytest.mark.parametrize("name", ["learned", "relearn", "to_dict"])
@@ -226,7 +226,7 @@ def test_a_start_with_a_clock_years_behind_forgets_nothing_of_the_day_it_is_late
         rig.synchronised = True
         rig.clock.step_s = 3 * 365 * 86400.0
         await asyncio.sleep(900)
-        assert 0 <= state_json(rig.see(Recent()))["received"]["known_s"] - own["known_s"] <= 1200
+        assert 0 <= state_json(rig.take_snapshot(RecentRecords()))["received"]["known_s"] - own["known_s"] <= 1200
         assert 0 <= seen(rig)["received"]["known_s"] - shadow["known_s"] <= 1200
         assert seen(rig)["active_moves"] >= day["active_moves"] > 0
 

@@ -11,12 +11,12 @@ from daemon.base.records import FaceReading, Mode, Pose, Quality, Scan
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.received.today import ReceivedToday
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.state import state_json
 from daemon.tracker.phase import Phase
 from solar.ephemeris import Site, sun_direction
 from solar.frames import Limits, angles_within
-from tests.support.rig import SITE, HandWeather
+from tests.support.rig import SITE, ManualWeather
 
 # 14 October 2022, 11:00 UTC.
 NOON_S = 1665745200.0
@@ -111,7 +111,9 @@ def test_each_of_many_trackers_saves_the_ended_day_at_its_own_time_and_not_at_th
             counted.add(scan(at_s, even(200.0)), Pose(NOON_S + at_s, at_s, *FLAT, moving=False), NOON_S + at_s)
         at_s = float(DAY_S)
         counted.add(scan(at_s, even(200.0)), None, NOON_S + at_s)
-        assert (counted.counted.known_s, kept()) == (0, 0), "the scan that ends the day does not wait for the booking"
+        assert (counted.today_without_pending.known_s, kept()) == (0, 0), (
+            "the scan that ends the day does not wait for the booking"
+        )
         await asyncio.sleep(wait_s - 1)
         assert kept() == 0
         await asyncio.sleep(2)
@@ -135,13 +137,13 @@ def test_the_state_shows_the_gain_over_chronometric_from_the_readings_of_the_fac
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await rig.until(lambda: rig.service.trackers[0].received.today.known_s >= 3000, 4000, "most of an hour")
-        found = state_json(rig.see(Recent()))["received"]
+        found = state_json(rig.take_snapshot(RecentRecords()))["received"]
         assert least < found["gain"] < most
         assert found["chronometric_kwh_m2"] == pytest.approx(found["known_s"] / 3.6e6 * 780.0, rel=0.03)
         assert found["actual_kwh_m2"] <= found["best_kwh_m2"]
 
     fewer = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
-    run_rig(scenario, law={"name": law}, weather=HandWeather(dni=700, dhi=90), **fewer)
+    run_rig(scenario, law={"name": law}, weather=ManualWeather(dni=700, dhi=90), **fewer)
 
 
 def test_energy_received_on_another_day_is_not_shown_as_of_today_before_the_first_scan(run_rig, tmp_path):
@@ -151,7 +153,7 @@ def test_energy_received_on_another_day_is_not_shown_as_of_today_before_the_firs
 
     async def scenario(rig):
         assert rig.control.state.scan is None
-        found = state_json(rig.see(Recent()))
+        found = state_json(rig.take_snapshot(RecentRecords()))
         assert (found["received"], found["shadow"]["received"]) == (None, None)
 
     run_rig(scenario, law={"name": "chronometric", "shadow": "flat"}, store={"directory": tmp_path})

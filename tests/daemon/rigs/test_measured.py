@@ -13,7 +13,7 @@ from daemon.config.settings import Settings
 from daemon.rigs.measured import gap_note, missing_by_day, weather_notes
 from daemon.rigs.simulated import build_simulated_pair, build_weather
 from daemon.rigs.simulated_cube import build_cube_cores
-from daemon.studies.compare.side_by_side import MODULES, side_by_side, two_trackers
+from daemon.studies.compare.side_by_side import MODULES, run_side_by_side, two_trackers
 from daemon.studies.simulate import simulate
 from sim_drivers.scene import Scene
 from sim_drivers.weather_files import load_weather
@@ -79,7 +79,7 @@ def test_a_comparison_measures_nothing_while_the_weather_is_missing(gaps):
     begin_s = MIDNIGHT + 10.9 * 3600
     weather, told = build_weather(settings, begin_s, begin_s + 1.6 * 3600, with_gaps=True)
     assert "1.3 h of daylight are missing" in told
-    powers = side_by_side(
+    powers = run_side_by_side(
         settings,
         two_trackers("flat", "flat"),
         lambda clock: build_simulated_pair(settings, clock, weather, MODULES),

@@ -11,7 +11,7 @@ from daemon.config.settings import Settings
 from daemon.rigs.probe_modbus import ModbusProbe, unit_range
 from drivers.cube.pyranometers.settings import RegisterMapSettings
 from drivers.errors import DeadlineError
-from drivers.modbus.pdu import READ_HOLDING, READ_INPUT
+from drivers.modbus.pdu import READ_HOLDING, READ_INPUT_REGISTERS
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedApogee, SimulatedHukseflux, SimulatedMapped, SimulatedSmp
 from sim_drivers.transports import InMemoryModbus
@@ -259,7 +259,7 @@ def test_for_a_make_without_an_address_register_the_probe_writes_nothing_and_say
     assert why in said
     assert not [question for question in person.asked if not question.startswith("Connect")]
     assert functions
-    assert set(functions) <= {READ_HOLDING, READ_INPUT}
+    assert set(functions) <= {READ_HOLDING, READ_INPUT_REGISTERS}
 
 
 def test_a_wrong_address_range_or_another_cube_driver_is_refused_in_one_sentence():

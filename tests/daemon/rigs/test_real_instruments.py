@@ -42,12 +42,12 @@ def test_a_real_rig_has_the_instruments_of_its_role_and_no_wind_sensor_and_is_no
         rig = build_real_rig(settings, role, SystemClock())
         assert tuple(bool(part) for part in (rig.cube, rig.trackers)) == present
         assert (rig.simulated, rig.wind_speed_m_s, rig.sky_text) == (False, None, None)
-        assert rig.clock_lasts
+        assert rig.has_persistent_clock
 
 
 def test_the_clock_of_a_bench_is_not_taken_to_go_on_over_restarts(load):
     settings = load(REAL.replace('kind = "real"', 'kind = "real"\nbench = true'))
-    assert not build_real_rig(settings, Role.BOTH, LoopClock(lambda: 0.0, 1.7e9)).clock_lasts
+    assert not build_real_rig(settings, Role.BOTH, LoopClock(lambda: 0.0, 1.7e9)).has_persistent_clock
 
 
 def test_a_rig_at_a_bench_is_marked_as_simulated(load):

@@ -22,7 +22,7 @@ from tests.support.motion import alarms
 class RotatorRig(rigs.ServiceRig):
     """The rig with a rotator in place of the POZSOL unit."""
 
-    def drive(self, unit, settings):
+    def build_driver(self, unit, settings):
         own = settings.instruments.positioner
         self.rotator = build_rotator(settings, own, self.clock)
         self.unit = SimpleNamespace(truth=rotator_truth(self.rotator, settings))
@@ -52,9 +52,9 @@ def run_rotator(run_rig, monkeypatch):
 
 async def until_tracked(rig):
     await rig.until_mode(Mode.TRACKING, 300)
-    await rig.until(lambda: rig.of(Move), 600, "the end of a move", every_s=0.5)
-    assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
-    target = rig.of(Move)[-1]
+    await rig.until(lambda: rig.records_of(Move), 600, "the end of a move", every_s=0.5)
+    assert rig.records_of(Move)[-1].outcome is MoveOutcome.ARRIVED
+    target = rig.records_of(Move)[-1]
     assert rig.stands_within(target.target_a_deg, target.target_b_deg)
 
 
@@ -78,10 +78,10 @@ def test_a_long_turn_of_the_rotator_around_its_azimuth_stop_arrives_and_raises_n
         for a_deg in (5.0, -5.0):
             await rig.operator.goto(a_deg, 45.0, "look")
             await rig.until(lambda wanted=a_deg: rig.stands_within(wanted, 45.0), 150, "the turn", every_s=0.5)
-        await rig.until(lambda: rig.of(Move)[-1].target_a_deg == -5.0, 30, "the end of the move")
-        assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+        await rig.until(lambda: rig.records_of(Move)[-1].target_a_deg == -5.0, 30, "the end of the move")
+        assert rig.records_of(Move)[-1].outcome is MoveOutcome.ARRIVED
         # 346 deg of azimuth, at 6 deg/s.
-        assert 55.0 < rig.of(Move)[-1].duration_s < 70.0
+        assert 55.0 < rig.records_of(Move)[-1].duration_s < 70.0
         assert not alarms(rig)
 
     run_rotator(scenario, positioner={"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0})
@@ -92,7 +92,7 @@ def test_a_rotator_resting_just_beyond_one_azimuth_end_is_not_taken_to_be_at_the
         await until_tracked(rig)
         await rig.operator.goto(0.0, 45.0, "look")
         await rig.until(lambda: rig.stands_within(0.0, 45.0), 150, "the noon", every_s=0.5)
-        await rig.until(lambda: rig.motion.resting, 30, "rest")
+        await rig.until(lambda: rig.motion.is_idle, 30, "rest")
         await asyncio.sleep(15.0)
         rig.rotator.turn(180.1, 45.0, rig.clock.monotonic())
         await asyncio.sleep(5.0)
@@ -101,7 +101,7 @@ def test_a_rotator_resting_just_beyond_one_azimuth_end_is_not_taken_to_be_at_the
         await rig.operator.stop("enough")
         await asyncio.sleep(5.0)
         assert rig.rotator.position(rig.clock.monotonic())[0] == pytest.approx(180.0, abs=0.2)
-        assert rig.motion.unexplained is None
+        assert rig.motion.unexplained_motion is None
 
     run_rotator(scenario, positioner={"azimuth_min_deg": -180.0, "azimuth_max_deg": 180.0})
 
@@ -158,7 +158,7 @@ def test_a_rotator_lost_in_mid_move_is_stopped_when_it_is_back_and_gets_a_new_ta
             assert "no connection to the rotator (RPRT -6): look at the rotator and its cable, then restart" in (
                 rig.motion.outage.reason
             )
-        moves, stops = len(rig.of(Move)), rig.rotator.received["stop"]
+        moves, stops = len(rig.records_of(Move)), rig.rotator.received["stop"]
         # A rotator goes on to its last target even without its client.
         await asyncio.sleep(30.0)
         assert rig.stands_within(45.0, 80.0)
@@ -166,10 +166,10 @@ def test_a_rotator_lost_in_mid_move_is_stopped_when_it_is_back_and_gets_a_new_ta
         lose(rig, False)
         await rig.until(lambda: rig.motion.connected and rig.motion.stands_since_s, 120, "the return")
         assert rig.rotator.received["stop"] > stops
-        assert len(rig.of(Move)) == moves
+        assert len(rig.records_of(Move)) == moves
         await rig.operator.auto("go on")
-        await rig.until(lambda: rig.of(Move)[moves:], 400, "a move of today", every_s=0.5)
-        assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+        await rig.until(lambda: rig.records_of(Move)[moves:], 400, "a move of today", every_s=0.5)
+        assert rig.records_of(Move)[-1].outcome is MoveOutcome.ARRIVED
         assert not alarms(rig)
 
     run_rotator(scenario)
@@ -178,7 +178,7 @@ def test_a_rotator_lost_in_mid_move_is_stopped_when_it_is_back_and_gets_a_new_ta
 def test_a_move_ordered_by_another_rotctld_client_is_stopped_reported_and_ends_in_fault(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
-        await rig.until(lambda: rig.motion.resting, 30, "rest")
+        await rig.until(lambda: rig.motion.is_idle, 30, "rest")
         rig.rotator.turn(100.0, 20.0, rig.clock.monotonic())
         await rig.until(lambda: "unexplained-motion" in alarms(rig), 20, "the alarm")
         assert "azimuth moved from" in alarms(rig)["unexplained-motion"]
@@ -206,7 +206,7 @@ def test_a_rotator_that_does_not_obey_a_stop_raises_the_deaf_to_stop_alarm(run_r
         await until_tracked(rig)
         await rig.operator.goto(45.0, 80.0, "look")
         await rig.until(lambda: rig.motion.moving, 20, "the move")
-        rig.rotator.turns = rigs_slow(rig.rotator.turns)
+        rig.rotator.rotator_range = rigs_slow(rig.rotator.rotator_range)
         rig.rotator.turn(260.0, 20.0, rig.clock.monotonic())
         rig.rotator.faults.add("deaf")
         await rig.operator.stop("enough")
@@ -251,7 +251,7 @@ def test_a_rotator_that_cannot_reach_the_stow_position_is_never_moved_and_an_ala
         rig.wind_m_s = 25.0
         await asyncio.sleep(400.0)
         assert rig.mode is Mode.FAULT
-        assert not rig.of(Move)
+        assert not rig.records_of(Move)
         assert "set_pos" not in rig.rotator.received
 
     build = build_rotator
@@ -294,7 +294,7 @@ def test_a_rotator_that_reports_whole_degrees_raises_no_alarm_of_motion_or_stall
 def test_a_rotator_found_elsewhere_after_a_lost_link_waits_for_a_person_to_clear_it(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
-        await rig.until(lambda: rig.motion.resting, 30, "rest")
+        await rig.until(lambda: rig.motion.is_idle, 30, "rest")
         await asyncio.sleep(15.0)
         rig.cables.positioner.link_up = False
         await asyncio.sleep(5.0)
@@ -308,7 +308,7 @@ def test_a_rotator_found_elsewhere_after_a_lost_link_waits_for_a_person_to_clear
             rig.motion.home()
         rig.motion.clear_faults()
         await rig.until_mode(Mode.TRACKING, 60)
-        assert not [event for event in rig.of(Event) if event.text == "homing"]
+        assert not [event for event in rig.records_of(Event) if event.text == "homing"]
 
     run_rotator(scenario)
 
@@ -316,8 +316,8 @@ def test_a_rotator_found_elsewhere_after_a_lost_link_waits_for_a_person_to_clear
 def test_the_alarm_for_a_jump_of_the_rotators_position_names_a_remedy_without_a_reference_run(run_rotator):
     async def scenario(rig):
         await until_tracked(rig)
-        await rig.until(lambda: rig.motion.resting, 30, "rest")
-        rig.rotator.turns = replace(rig.rotator.turns, speed_deg_per_s=1e4)
+        await rig.until(lambda: rig.motion.is_idle, 30, "rest")
+        rig.rotator.rotator_range = replace(rig.rotator.rotator_range, speed_deg_per_s=1e4)
         rig.rotator.turn(10.0, 45.0, rig.clock.monotonic())
         await rig.until(lambda: "reference" in alarms(rig), 120, "the doubt", every_s=0.5)
         remedy = "compare the angles with where the tracker points, then clear it"

@@ -13,8 +13,8 @@ from daemon.config.settings import Settings
 from daemon.config.simulation import SimulationSettings
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.rigs.simulated_positioner import build_unit
-from daemon.studies.campaign.watch.true_count import REFERENCE_DEG
-from tests.support.phases import at_rest, tracking
+from daemon.studies.campaign.watch.true_count import WRONG_COUNT_DEG
+from tests.support.phases import wait_for_rest, wait_for_tracking
 
 GEOMETRIES = {
     "other arms": {
@@ -67,8 +67,8 @@ def test_the_simulated_positioner_moves_and_arrives_with_any_geometry(geometry):
 def test_the_service_tracks_with_a_simulated_positioner_of_any_geometry(run_rig, geometry):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 300)
-        await rig.until(lambda: rig.of(Move), 400, "the end of a move")
-        assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+        await rig.until(lambda: rig.records_of(Move), 400, "the end of a move")
+        assert rig.records_of(Move)[-1].outcome is MoveOutcome.ARRIVED
 
     run_rig(scenario, instruments={"positioner": geometry})
 
@@ -77,7 +77,7 @@ def test_the_service_tracks_with_a_simulated_positioner_of_any_geometry(run_rig,
 def test_an_injected_slip_of_the_count_is_larger_than_the_tolerance_of_a_reference(geometry):
     unit = build_unit(settings_of(geometry), LoopClock(lambda: 0.0, 1.7e9))
     unit.inject("a_slip", 0.0)
-    assert abs(unit.shown_deg("a", 0.0) - unit.truth(0.0).a_deg) > REFERENCE_DEG
+    assert abs(unit.shown_deg("a", 0.0) - unit.truth(0.0).a_deg) > WRONG_COUNT_DEG
 
 
 def test_moves_with_the_fastest_allowed_actuators_arrive_and_are_not_taken_for_a_jump_of_the_count(run_rig):
@@ -86,12 +86,12 @@ def test_moves_with_the_fastest_allowed_actuators_arrive_and_are_not_taken_for_a
     )
 
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         for corner in ((-50.0, 90.0), (50.0, 15.0), (-50.0, 15.0)):
             rig.control.goto(*corner, "a test")
             await asyncio.sleep(3)
-            await at_rest(rig)
-            assert rig.of(Move)[-1].outcome is MoveOutcome.ARRIVED
+            await wait_for_rest(rig)
+            assert rig.records_of(Move)[-1].outcome is MoveOutcome.ARRIVED
 
     run_rig(scenario, simulation={"motor_speed_mm_s": fastest})
 

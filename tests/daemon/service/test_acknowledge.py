@@ -8,14 +8,14 @@ import pytest
 from daemon.base.records import Event, Mode
 from tests.support import DOCS
 from tests.support.api import serve
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 
 __all__ = ["serve"]
 
 
 async def blown(rig, call_http):
     """Stop the tracker and let the wind rise: stow is wanted and not possible."""
-    await under_way(rig)
+    await wait_for_move(rig)
     await call_http.post("stop", b'{"by": "ana"}')
     rig.wind_m_s = 20.0
     await rig.until(lambda: rig.tracker.alarms.active, 6, "the alarm")
@@ -41,7 +41,7 @@ def test_an_acknowledged_alarm_shows_by_whom_and_acknowledging_moves_nothing(ser
         assert rig.truth() == before
         assert rig.mode is Mode.HOLD
         assert rig.control.wishes.stop.by == "ana"
-        assert "acknowledged stow-wanted by bob@lab: I am here" in [event.text for event in rig.of(Event)]
+        assert "acknowledged stow-wanted by bob@lab: I am here" in [event.text for event in rig.records_of(Event)]
         again = await call_http.post("acknowledge", b'{"alarm": "stow-wanted"}')
         assert again.json["text"] == "stow-wanted was acknowledged before, by bob@lab at 2022-10-12 10:00 UTC"
 
@@ -50,18 +50,18 @@ def test_an_acknowledged_alarm_shows_by_whom_and_acknowledging_moves_nothing(ser
 
 def test_acknowledging_an_ended_alarm_again_answers_who_did_so_first_until_it_is_raised_anew(serve):
     async def scenario(rig, call_http):
-        await under_way(rig)
+        await wait_for_move(rig)
         alarms = rig.tracker.alarms
         alarms.set("driver-hung", "it hangs")
         alarms.set("motor-current", "2 A")
         alarms.set("motor-current", None)
         body = b'{"alarm": "motor-current", "by": "ana"}'
         first = await call_http.post("acknowledge", body)
-        events = len(rig.of(Event))
+        events = len(rig.records_of(Event))
         again = await call_http.post("acknowledge", body.replace(b"ana", b"bob"))
         assert (first.json["text"], again.status) == ("acknowledged: motor-current (over)", 200)
         assert again.json["text"] == "motor-current was acknowledged before, by ana at 2022-10-12 10:00 UTC"
-        assert len(rig.of(Event)) == events
+        assert len(rig.records_of(Event)) == events
         assert [alarm.state for alarm in alarms.shown] == ["raised"]
         alarms.set("motor-current", "3 A")
         alarms.set("motor-current", None)
@@ -120,7 +120,7 @@ def test_a_positioner_or_voltmeter_that_is_lost_for_long_raises_an_alarm_until_i
         def alarmed():
             return name in {alarm.name for alarm in rig.tracker.alarms.active}
 
-        await under_way(rig)
+        await wait_for_move(rig)
         getattr(rig.cables, cable).link_up = False
         await rig.until_mode(mode, 600)
         await asyncio.sleep(quiet_s)
@@ -151,7 +151,7 @@ def test_an_alarm_that_is_raised_only_after_minutes_stays_acknowledged_over_a_re
 
 def test_clear_acknowledges_the_ended_alarms_that_wait_for_a_person_and_no_others(serve):
     async def scenario(rig, call_http):
-        await under_way(rig)
+        await wait_for_move(rig)
         alarms = rig.tracker.alarms
         # Motion and control set their alarms at every look; here neither sets these two.
         alarms.set("driver-hung", "it hangs")

@@ -15,15 +15,15 @@ from daemon.service.operator import Operator
 from daemon.service.state import state_json
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-from tests.support.phases import at_rest, modes, tracking
-from tests.support.rig import SITE, HandWeather
+from tests.support.phases import modes, wait_for_rest, wait_for_tracking
+from tests.support.rig import SITE, ManualWeather
 
 
 @pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter"])
 def test_without_the_cube_the_tracker_follows_the_sun_and_tracks_again_when_the_cube_is_back(run_rig, instrument):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         getattr(rig.cables, instrument).link_up = False
         await rig.until_mode(Mode.FALLBACK, 90)
         assert "no good scan" in rig.control.why
@@ -35,7 +35,7 @@ def test_without_the_cube_the_tracker_follows_the_sun_and_tracks_again_when_the_
 
     rig = run_rig(scenario)
     assert modes(rig) == [Mode.TRACKING, Mode.FALLBACK, Mode.TRACKING]
-    told = [event.text for event in rig.of(Event) if event.subject == "cube"]
+    told = [event.text for event in rig.records_of(Event) if event.subject == "cube"]
     assert len(told) == 2
     assert told[0].startswith("the cube is down")
     assert told[1] == "the cube is back"
@@ -47,7 +47,7 @@ def test_a_silent_cube_raises_an_alarm_even_while_a_person_keeps_the_tracker_sto
         def alarmed():
             return {alarm.name: alarm.text for alarm in rig.tracker.alarms.active}.get("no-readings")
 
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await getattr(Operator(rig.tracker, 1.0), asked)("a visit", by="ana")
         rig.cables.voltmeter.link_up = False
         await asyncio.sleep(890)
@@ -72,7 +72,7 @@ def test_an_unexpected_failure_of_a_cube_driver_is_an_outage_and_is_logged_once(
         return None
 
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         driver = rig.service.rig.cube if instrument == "cube" else getattr(rig, instrument)
         with monkeypatch.context() as broken:
             broken.setattr(driver, method, none if method == "read" else fails)
@@ -86,7 +86,7 @@ def test_an_unexpected_failure_of_a_cube_driver_is_an_outage_and_is_logged_once(
 
     rig = run_rig(scenario)
     assert [record.message for record in caplog.records if record.exc_info] == ["the driver of the cube has failed"]
-    told = [event.text for event in rig.of(Event) if event.subject == "cube"]
+    told = [event.text for event in rig.records_of(Event) if event.subject == "cube"]
     assert told[0].startswith("the cube is down: ")
     assert told[-1] == "the cube is back"
     if method == "select":
@@ -98,28 +98,28 @@ def test_an_unexpected_failure_of_a_cube_driver_is_an_outage_and_is_logged_once(
 @pytest.mark.parametrize(("silence_s", "moves"), [(150, 0), (285, 0), (420, 1)])
 def test_a_gap_of_285_s_in_the_scans_causes_no_swing_to_the_sun_and_one_of_420_s_does(run_rig, silence_s, moves):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await asyncio.sleep(900)
-        await at_rest(rig)
-        before = len(rig.of(Move))
+        await wait_for_rest(rig)
+        before = len(rig.records_of(Move))
         rig.cables.voltmeter.link_up = False
         await asyncio.sleep(silence_s)
         assert rig.mode is Mode.FALLBACK
         rig.cables.voltmeter.link_up = True
         await rig.until_mode(Mode.TRACKING, 60)
-        swung = [move for move in rig.of(Move)[before:] if move.target_b_deg < 75]
+        swung = [move for move in rig.records_of(Move)[before:] if move.target_b_deg < 75]
         assert len(swung) == moves
 
-    run_rig(scenario, law={"driver": "optimal"}, weather=HandWeather(dni=0, dhi=150), start="2022-12-21T11:00")
+    run_rig(scenario, law={"driver": "optimal"}, weather=ManualWeather(dni=0, dhi=150), start="2022-12-21T11:00")
 
 
 def test_the_reason_for_fallback_names_scans_that_the_bridge_refuses_only_while_they_are_the_cause(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         sender = rig.service.sender
         key, sender._key = sender._key, bytes(32)
         await rig.until_mode(Mode.FALLBACK, 90)
-        change = rig.of(ModeChange)[-1]
+        change = rig.records_of(ModeChange)[-1]
         assert re.search(r"no good scan for \d+ s; the bridge refused \d+ forged since; the latest is", change.why)
         assert change.why.endswith("was not signed with this receiver's key: give both sides the same key file")
         assert rig.control.state.why.startswith("no good scan")
@@ -136,7 +136,7 @@ def test_the_reason_for_fallback_names_scans_that_the_bridge_refuses_only_while_
 @pytest.mark.parametrize("instrument", ["multiplexer", "voltmeter", "positioner"])
 def test_with_the_default_rhythm_tracking_resumes_within_15_s_of_an_instruments_return(run_rig, instrument, out_s):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await asyncio.sleep(130)
         device = getattr(rig.cables, instrument)
         # At another instant of the scan each time, and of the pauses between tries.
@@ -155,7 +155,7 @@ def test_with_the_default_rhythm_tracking_resumes_within_15_s_of_an_instruments_
 @pytest.mark.parametrize(("stuck_at_v", "quality"), [(9.9, "over-range"), (0.4, "implausible")])
 def test_one_bad_face_is_named_and_never_used_for_pointing(run_rig, stuck_at_v, quality):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.scene.break_sensor(2, stuck_at_v)
         await rig.until(lambda: rig.control.state.scan.faces[2].quality == quality, 60, "the face's quality")
         await asyncio.sleep(400)
@@ -169,12 +169,14 @@ def test_one_bad_face_is_named_and_never_used_for_pointing(run_rig, stuck_at_v, 
 
     rig = run_rig(scenario)
     assert modes(rig) == [Mode.TRACKING, Mode.FALLBACK]
-    assert all(not decision.irradiances.west_w_m2 > 200 for decision in rig.of(Decision) if decision.mode == "tracking")
+    assert all(
+        not decision.irradiances.west_w_m2 > 200 for decision in rig.records_of(Decision) if decision.mode == "tracking"
+    )
 
 
 def test_a_voltmeter_that_repeats_its_reading_to_the_last_digit_counts_as_stale(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         frozen = rig.switch.output_voltage(rig.clock.monotonic())
         rig.voltmeter.read_voltage = lambda: asyncio.sleep(0.04, frozen)
         await rig.until_mode(Mode.FALLBACK, 200)
@@ -188,13 +190,13 @@ def test_darkness_at_noon_is_a_fault_of_the_cube_and_not_night(run_rig):
         await rig.until_mode(Mode.FALLBACK, 300)
         assert "daylight" in rig.control.why
 
-    rig = run_rig(scenario, weather=HandWeather(dni=0, dhi=1))
+    rig = run_rig(scenario, weather=ManualWeather(dni=0, dhi=1))
     assert Mode.NIGHT not in modes(rig)
 
 
 def test_a_late_voltmeter_reply_is_never_credited_to_another_face(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         for _ in range(5):
             await asyncio.sleep(0.9)
             rig.meter.reply_delay_s = 2.5
@@ -214,20 +216,20 @@ def test_a_late_voltmeter_reply_is_never_credited_to_another_face(run_rig):
 
 def test_two_bad_faces_are_named_with_fault_and_time_in_alarm_status_screens_and_notice(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await asyncio.sleep(600)
         rig.scene.break_sensor(1, 0.0)
         await asyncio.sleep(1200)
         rig.scene.break_sensor(2, 0.0)
         await rig.until_mode(Mode.FALLBACK, 1800)
-        state = state_json(rig.see())
+        state = state_json(rig.take_snapshot())
         lines, code = verdict(state, {"troubles": [], "down": []})
         screens = []
         for shown in (render(state), live_screen(state)):
             console = Console(file=io.StringIO(), width=2000, height=100)
             console.print(shown)
             screens.append(console.file.getvalue())
-        (notice,) = ServiceWatch("roof", 60.0, "notice", None, 0.0).answered(state, 1.0)
+        (notice,) = ServiceWatch("roof", 60.0, "notice", None, 0.0).note_answer(state, 1.0)
         assert code == 4
         for door in (state["alarms"][0]["text"][:255], "\n".join(lines), *screens, notice.body):
             assert re.search(

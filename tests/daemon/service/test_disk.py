@@ -10,12 +10,12 @@ import pytest
 from daemon.base.files import replace_file
 from daemon.base.records import Mode
 from daemon.base.state import StateFolder
-from daemon.service.operator import CommandError, Operator, Seen
+from daemon.service.operator import CommandError, Effect, Operator
 from daemon.tracker.wishes import WishFile
 from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support import PATIENCE_S
 from tests.support.api import serve
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 from tests.support.rig import ServiceRig
 
 __all__ = ["serve", "small_disk"]
@@ -48,13 +48,13 @@ def stuck_disk(monkeypatch):
 @pytest.mark.parametrize("name", ["stop", "maintenance", "stow"])
 def test_stop_maintenance_and_stow_do_not_wait_for_a_disk_that_hangs(run_rig, stuck_disk, tmp_path, name):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         commands = operator(rig)
         # A later command would have to wait until this hold is written.
         await commands.hold("first", "ana")
         asked_s = rig.clock.monotonic()
         answer = await getattr(commands, name)("a hand near the actuator", "ana")
-        assert answer.seen in (Seen.DONE, Seen.UNDER_WAY)
+        assert answer.seen in (Effect.DONE, Effect.UNDER_WAY)
         assert rig.clock.monotonic() - asked_s < 7.0
         unsaved = answer.text.partition("; not kept yet: a restart would forget ")[2]
         assert "what was asked" in unsaved
@@ -65,7 +65,7 @@ def test_stop_maintenance_and_stow_do_not_wait_for_a_disk_that_hangs(run_rig, st
             name != "maintenance"
         )
         stuck_disk.set()
-        assert rig.tracker.folder.settle(60)
+        assert rig.tracker.folder.wait_for_writes(60)
         assert getattr(kept(tmp_path), name).why == "a hand near the actuator"
         await asyncio.sleep(10)
         assert "not-kept" not in {alarm.name for alarm in rig.tracker.alarms.active}
@@ -114,7 +114,7 @@ def test_a_stop_that_neither_reaches_the_positioner_nor_the_disk_says_both(run_r
     (tmp_path / "file").touch()
 
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.cables.positioner.link_up = False
         with pytest.raises(CommandError, match=r"stop could not be sent, .*; not kept yet: a restart would forget"):
             await operator(rig).stop("a hand", "ana")

@@ -8,7 +8,7 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.records import Event, Move, MoveOutcome
 from drivers.errors import DriverHungError
-from tests.support.phases import quiet, under_way
+from tests.support.phases import wait_for_long_rest, wait_for_move
 
 
 @pytest.mark.parametrize("part", ["control", "motion", "acquisition", "watchdog"])
@@ -18,7 +18,7 @@ def test_a_task_of_the_service_that_dies_is_named_and_stops_the_service_and_the_
 
     def breaking(rig):
         async def die():
-            await under_way(rig)
+            await wait_for_move(rig)
             owner = {
                 "control": (rig.control, "tick"),
                 "motion": (rig.positioner, "read_telemetry"),
@@ -59,13 +59,13 @@ def test_a_driver_with_too_many_hung_calls_ends_the_service_in_one_sentence_with
         getattr(rig, instrument).open = hung
         getattr(rig.cables, instrument).link_up = False
         ended = "the service ends and must be restarted"
-        await rig.until(lambda: any(ended in event.text for event in rig.of(Event)), 30, "the end")
+        await rig.until(lambda: any(ended in event.text for event in rig.records_of(Event)), 30, "the end")
         if instrument != "positioner":
             await asyncio.sleep(2)
             before = rig.truth()
             await asyncio.sleep(60)
             assert rig.truth() == before
-            assert rig.of(Move)[-1].outcome is MoveOutcome.INTERRUPTED
+            assert rig.records_of(Move)[-1].outcome is MoveOutcome.INTERRUPTED
 
     with pytest.raises(UserError, match=rf"{instrument}: 8 calls .* never returned: the service ends and must be"):
         run_rig(scenario)
@@ -73,7 +73,7 @@ def test_a_driver_with_too_many_hung_calls_ends_the_service_in_one_sentence_with
 
 def test_a_process_that_was_suspended_for_minutes_takes_no_driver_for_a_hung_one(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         for _ in range(8):
             # At another moment between two checks each time.
             await asyncio.sleep(31.17)

@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.records import Event
 from tests.daemon.motion.test_outages import LONG_S, ORDINARY, SELDOM
-from tests.support.phases import now, tracking
+from tests.support.phases import now, wait_for_tracking
 
 MOST_LINES, MOST_EVENTS = 28, 20
 CALM = {"cube": {"scan_every_s": 10}, "safety": {"scan_stale_s": 130, "fallback_after_s": 600}}
@@ -34,7 +34,7 @@ async def flap(rig, device, *, down_s=10.0, up_s=10.0, for_s):
 @pytest.mark.parametrize("name", ["positioner", "voltmeter", "load"])
 def test_a_bad_contact_for_hours_is_reported_in_few_log_lines_and_events(run_rig, caplog, name):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.motion._polling = SELDOM
         caplog.clear()
         rig.records.clear()
@@ -42,7 +42,7 @@ def test_a_bad_contact_for_hours_is_reported_in_few_log_lines_and_events(run_rig
         await flap(rig, device, for_s=2400.0)
         # Seldom enough for a quick simulation, too often to count as steady.
         await flap(rig, device, down_s=30.0, up_s=270.0, for_s=LONG_S - 2400.0)
-        during = [event.text for event in rig.of(Event)]
+        during = [event.text for event in rig.records_of(Event)]
         assert len(told(caplog)) <= MOST_LINES, "\n".join(told(caplog))
         assert len(during) <= MOST_EVENTS, "\n".join(during)
 
@@ -77,13 +77,13 @@ async def cube_for_minutes(rig):
 )
 def test_hours_of_wind_losses_or_cube_outages_are_reported_in_few_log_lines_and_events(run_rig, caplog, trouble):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.motion._polling = SELDOM
         caplog.clear()
         rig.records.clear()
         await trouble(rig)
         assert len(told(caplog)) <= MOST_LINES, "\n".join(told(caplog))
-        assert len(rig.of(Event)) <= MOST_EVENTS, "\n".join(event.text for event in rig.of(Event))
+        assert len(rig.records_of(Event)) <= MOST_EVENTS, "\n".join(event.text for event in rig.records_of(Event))
 
     with caplog.at_level(logging.INFO):
         run_rig(scenario, **QUICK)
@@ -91,7 +91,7 @@ def test_hours_of_wind_losses_or_cube_outages_are_reported_in_few_log_lines_and_
 
 def test_after_a_bad_contact_has_been_steady_again_the_next_loss_is_reported_at_once(run_rig, caplog):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.motion._polling = SELDOM
         await flap(rig, rig.cables.positioner, for_s=1200.0)
         await asyncio.sleep(1900)
@@ -101,7 +101,7 @@ def test_after_a_bad_contact_has_been_steady_again_the_next_loss_is_reported_at_
         rig.cables.positioner.link_up = False
         await asyncio.sleep(60)
         assert told(caplog)[0] == "the positioner is down: positioner: is unplugged"
-        assert [event.text for event in rig.of(Event)] == ["the positioner is down: positioner: is unplugged"]
+        assert [event.text for event in rig.records_of(Event)] == ["the positioner is down: positioner: is unplugged"]
 
     with caplog.at_level(logging.INFO):
         run_rig(scenario, **CALMER)

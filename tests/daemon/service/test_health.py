@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Mode, Move, MoveOutcome
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.service.health import LoopWatch, Watchdog
@@ -32,7 +32,7 @@ def manager(tmp_path):
                         lines += listening.recv(4096).decode().split("\n")
             return lines
 
-        yield Notifier(environment, 1), heard
+        yield SystemdNotifier(environment, 1), heard
 
 
 def watch(rig, notifier):
@@ -83,12 +83,12 @@ def test_an_axis_that_runs_past_its_target_is_stopped_and_ends_the_move_in_fault
         assert sent[-1][1].startswith(STOP_PACKET)
         stands = rig.truth()
         # Not stopped, it would run on for 25 mm, which is far more.
-        assert abs(stands.a_deg - rig.of(Move)[-1].target_a_deg) < 3.0
+        assert abs(stands.a_deg - rig.records_of(Move)[-1].target_a_deg) < 3.0
         await asyncio.sleep(20)
         assert rig.truth() == stands
 
     rig = run_rig(scenario, setup=Setup(drive=AxisDrive(overshoot_mm=25.0)))
-    assert MoveOutcome.OVERSHOT in [move.outcome for move in rig.of(Move)]
+    assert MoveOutcome.OVERSHOT in [move.outcome for move in rig.records_of(Move)]
 
 
 class HeldUpClock:

@@ -11,13 +11,13 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
 from daemon.base.state import StateFolder
-from daemon.service.inheritance import hand_on
+from daemon.service.inheritance import migrate_state_to_trackers
 from daemon.service.operator import Operator
-from daemon.store.place import claimed
+from daemon.store.place import lock_folder
 from daemon.tracker.wishes import WishFile
 from tests.daemon.tracker.days import FEWER_SCANS
-from tests.support.motion import drive_b
-from tests.support.phases import quiet
+from tests.support.motion import send_foreign_b_target
+from tests.support.phases import wait_for_long_rest
 
 
 def test_a_stop_of_an_unnamed_tracker_holds_for_all_trackers_named_next_and_for_none_added_later(run_rig, tmp_path):
@@ -180,7 +180,7 @@ def test_a_stop_of_another_service_in_a_subfolder_holds_no_tracker_while_that_se
         await rig.until_mode(Mode.HOLD, 120)
         assert "'other' is still stopped: repair" in rig.control.why
 
-    with claimed(tmp_path / "other", ("tracker",)):
+    with lock_folder(tmp_path / "other", ("tracker",)):
         (tmp_path / "other" / "operator.json").write_text('{"stop": {"why": "repair"}}')
         run_rig(works, store={"directory": tmp_path}, tracker=[{"name": "east"}])
     before_s = time.time() - 3600.0
@@ -194,7 +194,7 @@ def test_a_storm_or_doubt_kept_by_a_removed_tracker_holds_a_new_tracker_and_no_o
     words = {"storm": "wind 20", "doubt": "has restarted", "motion": "without an order", "unreadable": "cannot be read"}
 
     async def both(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         if what == "storm":
             rig.wind_m_s = 20.0
             await rig.until_mode(Mode.STOW, 10)
@@ -202,7 +202,7 @@ def test_a_storm_or_doubt_kept_by_a_removed_tracker_holds_a_new_tracker_and_no_o
             rig.unit.power_cycle(rig.clock.monotonic())
             await rig.until_mode(Mode.FAULT, 15)
         else:
-            drive_b(rig, 85.0)
+            send_foreign_b_target(rig, 85.0)
             await rig.until_mode(Mode.FAULT, 15)
             await asyncio.sleep(10)
 
@@ -232,9 +232,9 @@ def test_wishes_that_a_full_disk_kept_from_being_handed_on_are_handed_on_once_th
             while True:
                 file.write(bytes(4096))
         with pytest.raises(UserError, match=r"cannot be handed on to east, west: No space left"):
-            hand_on(tmp_path, ["east", "west"])
+            migrate_state_to_trackers(tmp_path, ["east", "west"])
         filler.unlink()
-        hand_on(tmp_path, ["east", "west"])
+        migrate_state_to_trackers(tmp_path, ["east", "west"])
         for name in ("east", "west"):
             asked = WishFile(StateFolder(tmp_path / name)).load()
             assert (asked.stow.why, asked.stop) == ("hail", None)

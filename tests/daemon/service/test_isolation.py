@@ -47,7 +47,7 @@ def test_a_raising_law_a_hung_driver_and_a_failing_driver_do_not_disturb_the_oth
         _, hung, driver, _ = rig.others
         hung.read_telemetry = never
         driver.read_telemetry = fail
-        begun_s, decided = rig.clock.monotonic(), len(rig.of(Decision))
+        begun_s, decided = rig.clock.monotonic(), len(rig.records_of(Decision))
         await asyncio.sleep(1800)
         assert modes(rig) == {
             "t0": Mode.TRACKING,
@@ -56,12 +56,12 @@ def test_a_raising_law_a_hung_driver_and_a_failing_driver_do_not_disturb_the_oth
             "driver": Mode.FAULT,
             "t4": Mode.TRACKING,
         }
-        later = rig.of(Decision)[decided:]
+        later = rig.records_of(Decision)[decided:]
         for place, name in ((0, "t0"), (4, "t4")):
             own = [each.time_monotonic_s for each in later if each.tracker == name]
             assert len(own) >= 5
             assert all(time_s % 300.0 == pytest.approx(60.0 * place, abs=0.1) for time_s in own[1:])
-            assert any(move.tracker == name and move.time_monotonic_s > begun_s for move in rig.of(Move))
+            assert any(move.tracker == name and move.time_monotonic_s > begun_s for move in rig.records_of(Move))
             assert alarms_of(rig, name) == {}
         assert "the law sun-vector has failed (DefectError: out of range)" in alarms_of(rig, "law")["law-failed"]
         assert {each.law for each in later if each.tracker == "law"} == {"chronometric"}

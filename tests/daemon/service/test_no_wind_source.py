@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
@@ -38,7 +38,7 @@ def alarms_of(*, simulated=False, bench=False, sources=(), wind=None, role=Role.
             Random(1),
             Bus(),
             bytes(range(32)),
-            Notifier({}, 0),
+            SystemdNotifier({}, 0),
             stow_sources={"tracker": sources},
         )
 

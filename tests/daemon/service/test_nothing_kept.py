@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.config.settings import Settings
@@ -28,7 +28,7 @@ def stopped(directory, *, simulated):
         line = InMemoryStream(PositionerCore(loop.time()), loop.time)
         instruments = TrackerInstruments(build_pozsol(settings, clock, line))
         rig = Rig(None, (instruments,), None, simulated=simulated)
-        notifier = Notifier({}, 0)
+        notifier = SystemdNotifier({}, 0)
         service = Service(settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), notifier)
 
         async def scenario():

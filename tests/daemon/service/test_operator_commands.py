@@ -18,24 +18,24 @@ from daemon.api.client import Client, NoServiceError
 from daemon.base.addresses import parse_address
 from daemon.base.records import Event
 from daemon.service.command_bodies import MODES
-from daemon.service.operator import CommandError, Operator, Seen
-from daemon.service.operator_commands import NAMES, URGENT, BodyError, Operators, TooManyError, parse
-from daemon.service.recent import Recent
+from daemon.service.operator import CommandError, Effect, Operator
+from daemon.service.operator_commands import COMMAND_NAMES, URGENT, BodyError, Operators, TooManyError, parse
+from daemon.service.recent import RecentRecords
 from daemon.service.state import state_json
 from tests.support import PATIENCE_S, ROOT
 from tests.support.motion import commands_sent
-from tests.support.phases import tracking, under_way
+from tests.support.phases import wait_for_move, wait_for_tracking
 
 
 def test_every_command_has_its_operator_method_and_every_mode_is_a_command():
-    assert all(callable(getattr(Operator, name)) for name in NAMES if name not in ("mode", "acknowledge"))
-    assert set(MODES) | set(URGENT) < set(NAMES)
+    assert all(callable(getattr(Operator, name)) for name in COMMAND_NAMES if name not in ("mode", "acknowledge"))
+    assert set(MODES) | set(URGENT) < set(COMMAND_NAMES)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("goto", "mode")])
+@pytest.mark.parametrize("name", [name for name in COMMAND_NAMES if name not in ("goto", "mode")])
 def test_a_command_with_an_empty_body_is_attributed_to_the_way_by_which_it_came(name):
     command = parse(name, b"", "MQTT")
-    assert (command.name, command.wanted, command.by, command.why) == (name, name, "MQTT", "an operator asked")
+    assert (command.name, command.action, command.by, command.why) == (name, name, "MQTT", "an operator asked")
     assert command.identifier is None
 
 
@@ -47,7 +47,7 @@ def test_reason_person_and_identifier_in_the_body_of_a_command_are_kept():
 
 @pytest.mark.parametrize("content", [b"snow", b'{"mode": "snow"}'])
 def test_the_mode_command_accepts_a_plain_word_or_a_json_object(content):
-    assert parse("mode", content, "MQTT").wanted == "snow"
+    assert parse("mode", content, "MQTT").action == "snow"
 
 
 def test_a_goto_angle_beyond_every_float_becomes_infinity_for_the_limits_to_refuse():
@@ -114,7 +114,7 @@ def test_a_malformed_command_body_is_refused_in_one_sentence(name, content, sent
 )
 def test_a_stop_with_a_malformed_body_is_accepted_and_its_readable_parts_are_kept(way, content, kept):
     command = parse("stop", content, way)
-    assert command.wanted == "stop"
+    assert command.action == "stop"
     assert {name: getattr(command, name) for name in ("why", "by", "identifier", "tracker")} == {
         "why": "an operator asked",
         "by": way,
@@ -209,9 +209,9 @@ def test_an_answer_is_printed_on_a_terminal_that_knows_only_ascii(tmp_path, run_
     page = {}
 
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await Operator(rig.tracker, 1.0).stop("Böe")
-        page.update(state_json(rig.see(Recent())))
+        page.update(state_json(rig.take_snapshot(RecentRecords())))
 
     run_rig(scenario)
     page |= {"state": "done", "text": "standing; mode hold: Böe"}
@@ -301,7 +301,7 @@ def _config(folder, port):
 
 def test_too_many_commands_a_second_are_refused_for_each_way_on_its_own_and_a_stop_never_is(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         operators = Operators(rig.service.trackers, 1.0)
 
         async def give(name, way):
@@ -330,7 +330,7 @@ def test_too_many_commands_a_second_are_refused_for_each_way_on_its_own_and_a_st
 
 def test_a_stop_given_again_and_again_is_sent_five_times_a_second_and_anew_after_auto(run_rig, monkeypatch):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         sent = commands_sent(rig, monkeypatch)
         operator = Operator(rig.tracker, 1.0)
 
@@ -342,8 +342,8 @@ def test_a_stop_given_again_and_again_is_sent_five_times_a_second_and_anew_after
             giving.append(asyncio.create_task(operator.stop("a flood")))
             await asyncio.sleep(0.001)
         answers = await asyncio.gather(*giving)
-        assert {answer.seen for answer in answers} == {Seen.DONE}
-        noted = [event for event in rig.of(Event) if event.subject == "operator"]
+        assert {answer.seen for answer in answers} == {Effect.DONE}
+        noted = [event for event in rig.records_of(Event) if event.subject == "operator"]
         assert 1 <= len(noted) <= 6
         await asyncio.sleep(5)
         before = stops()
@@ -361,13 +361,13 @@ def test_a_stop_given_again_and_again_is_sent_five_times_a_second_and_anew_after
 
 def test_commands_that_a_program_repeats_are_all_events_but_the_log_gives_only_their_number(run_rig, caplog):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         operator = Operator(rig.tracker, 1.0)
         with caplog.at_level(logging.INFO, "heliocube.operator"):
             for _ in range(200):
                 await operator.auto("a script")
             await asyncio.sleep(3600)
-        assert len([event for event in rig.of(Event) if event.subject == "operator"]) == 200
+        assert len([event for event in rig.records_of(Event) if event.subject == "operator"]) == 200
 
     run_rig(scenario)
     lines = [record.getMessage() for record in caplog.records if record.name == "heliocube.operator"]

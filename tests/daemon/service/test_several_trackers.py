@@ -12,7 +12,7 @@ from daemon.base.records import Event, Mode, ModeChange, Move, Pose, Scan
 from daemon.config.file import _MOST_TRACKERS
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.snapshot import snapshot
 from daemon.service.state import state_json, tracker_state_json
 from drivers.errors import DriverHungError
@@ -39,10 +39,10 @@ def test_an_unplugged_tracker_is_in_fault_and_the_other_goes_on_tracking(run_rig
         await both_track(rig)
         rig.cables.others[0].link_up = False
         await rig.until(lambda: modes(rig)[1] is Mode.FAULT, 120, "the fault of one")
-        moved = len(rig.of(Move))
+        moved = len(rig.records_of(Move))
         await asyncio.sleep(1800)
         assert modes(rig) == [Mode.TRACKING, Mode.FAULT]
-        later = rig.of(Move)[moved:]
+        later = rig.records_of(Move)[moved:]
         assert later
         assert {move.tracker for move in later} == {"east"}
         rig.cables.others[0].link_up = True
@@ -167,8 +167,8 @@ def test_records_bear_the_name_of_their_tracker_and_scans_come_once(run_rig):
         await both_track(rig)
         await asyncio.sleep(600)
         for kind in (Pose, ModeChange, Move):
-            assert {record.tracker for record in rig.of(kind)} == {"east", "west"}
-        scans = rig.of(Scan)
+            assert {record.tracker for record in rig.records_of(kind)} == {"east", "west"}
+        scans = rig.records_of(Scan)
         assert len(scans) == len({scan.sequence for scan in scans}) > 5
 
     run_rig(scenario, tracker=TWO)
@@ -177,7 +177,7 @@ def test_records_bear_the_name_of_their_tracker_and_scans_come_once(run_rig):
 def test_the_state_lists_each_tracker_by_name_and_a_single_tracker_at_the_top_level_too(run_rig):
     async def two(rig):
         await both_track(rig)
-        found = state_json(rig.see())
+        found = state_json(rig.take_snapshot())
         assert list(found["trackers"]) == ["east", "west"]
         assert found["mode"] is found["tracker"] is None
         assert found["trackers"]["west"]["tracker"]["limits"]["a_max_deg"] == 20.0
@@ -186,16 +186,16 @@ def test_the_state_lists_each_tracker_by_name_and_a_single_tracker_at_the_top_le
         rig.wind_m_s = 20.0
         await give(rig, "stop", tracker="west", why="repair")
         await asyncio.sleep(20)
-        assert [(alarm["name"], alarm["tracker"]) for alarm in state_json(rig.see())["alarms"]] == [
+        assert [(alarm["name"], alarm["tracker"]) for alarm in state_json(rig.take_snapshot())["alarms"]] == [
             ("stow-wanted", "west")
         ]
-        west = tracker_state_json(rig.see(), "west")
+        west = tracker_state_json(rig.take_snapshot(), "west")
         assert (west["mode"]["name"], west["tracker"]["name"]) == ("hold", "west")
-        assert tracker_state_json(rig.see(), "east")["alarms"] == []
+        assert tracker_state_json(rig.take_snapshot(), "east")["alarms"] == []
 
     async def one(rig):
         await rig.until_mode(Mode.TRACKING, 120)
-        found = state_json(rig.see())
+        found = state_json(rig.take_snapshot())
         assert found["trackers"]["tracker"] == {name: found[name] for name in found["trackers"]["tracker"]}
         assert found["mode"]["name"] == "tracking"
 
@@ -232,7 +232,7 @@ def test_a_driver_that_hangs_for_good_disables_its_own_tracker_and_not_the_servi
         assert "the tracker west is neither moved nor stowed until the service is restarted" in alarm.text
         await asyncio.sleep(900)
         assert modes(rig) == [Mode.TRACKING, Mode.FAULT]
-        assert [event.tracker for event in rig.of(Event) if event.subject == "service"] == ["west"]
+        assert [event.tracker for event in rig.records_of(Event) if event.subject == "service"] == ["west"]
 
     run_rig(scenario, tracker=TWO)
 
@@ -249,10 +249,10 @@ def test_in_a_flood_a_stop_for_an_unknown_tracker_is_skipped_only_once_all_track
         await both_track(rig)
         operators, stop = Operators(rig.service.trackers, 1.0), parse("stop", b'{"tracker": "nroth"}', "test")
         await give(rig, "stop", tracker="east")
-        assert operators.stopped_already(stop) is None
+        assert operators.answer_if_stopped(stop) is None
         await give(rig, "stop", tracker="west")
         with pytest.raises(CommandError, match="so the stop is for all: all are stopped"):
-            operators.stopped_already(stop)
+            operators.answer_if_stopped(stop)
 
     run_rig(scenario, tracker=TWO)
 
@@ -263,7 +263,7 @@ def test_in_a_flood_a_repeated_stop_for_all_is_answered_for_all_trackers(run_rig
         await give(rig, "stop", why="fire")
         operators = Operators(rig.service.trackers, 1.0)
         of_all, of_one = (
-            operators.stopped_already(parse("stop", body, "test")) for body in (b"", b'{"tracker": "west"}')
+            operators.answer_if_stopped(parse("stop", body, "test")) for body in (b"", b'{"tracker": "west"}')
         )
         assert of_all["text"].startswith("all 2 trackers are stopped; so many stops wait")
         assert re.match("the tracker is stopped by .*: fire; so many stops wait", of_one["text"])
@@ -292,7 +292,7 @@ def test_refusals_of_commands_name_the_remedy_command_with_the_option_of_their_t
 
 
 def test_every_remedy_command_shown_for_one_of_several_trackers_has_its_tracker_option(run_rig, caplog, monkeypatch):
-    lines, recent = [], Recent()
+    lines, recent = [], RecentRecords()
     written = LineFormatter(journal=True).format
     monkeypatch.setattr(caplog.handler, "emit", lambda record: lines.append(written(record)))
 
@@ -306,9 +306,10 @@ def test_every_remedy_command_shown_for_one_of_several_trackers_has_its_tracker_
         await rig.until(lambda: len(rig.tracker.alarms.active) == 2, 60, "both alarms")
         await asyncio.sleep(10)
         shown = {
-            "state": state_json(rig.see(recent)),
+            "state": state_json(rig.take_snapshot(recent)),
             "over MQTT": tracker_state_json(snapshot(rig.service, recent, 1.0, None, {}, tracker="east"), "east"),
-            "records": [record.text for record in rig.of(Event)] + [change.why for change in rig.of(ModeChange)],
+            "records": [record.text for record in rig.records_of(Event)]
+            + [change.why for change in rig.records_of(ModeChange)],
             "log": [line for line in lines if "tracker=east" in line],
         }
         for where, found in shown.items():

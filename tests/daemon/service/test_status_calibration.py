@@ -5,12 +5,12 @@ import pytest
 from rich.console import Console
 
 from daemon.base.clock import LoopClock
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus
 from daemon.commands.status.screen import render
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_rig, build_weather
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.service.rig import Role
 from daemon.service.service import Service
 from daemon.service.snapshot import snapshot
@@ -23,8 +23,8 @@ def status(now, made):
     clock = LoopClock(lambda: 0.0, now.timestamp())
     weather, _ = build_weather(settings, now.timestamp(), now.timestamp())
     rig = build_simulated_rig(settings, Role.CUBE, clock, weather)
-    service = Service(settings, Role.CUBE, rig, clock, Random(1), Bus(), None, Notifier({}, 0), calibration=made)
-    found = state_json(snapshot(service, Recent(), 1.0, None, {}))
+    service = Service(settings, Role.CUBE, rig, clock, Random(1), Bus(), None, SystemdNotifier({}, 0), calibration=made)
+    found = state_json(snapshot(service, RecentRecords(), 1.0, None, {}))
     console = Console(width=120)
     with console.capture() as shown:
         console.print(render(found))

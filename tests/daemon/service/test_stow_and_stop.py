@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from daemon.base.clock import LoopClock, iso_utc
-from daemon.base.process import Notifier
+from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus, Mode, ModeChange, Move, MoveOutcome, Target
 from daemon.config.settings import Settings
 from daemon.rigs.real import build_positioner
@@ -20,12 +20,12 @@ from daemon.service.service import Service
 from drivers.errors import DeviceError, RefusedError
 from tests.support.addresses import free_port
 from tests.support.motion import commands_sent
-from tests.support.phases import at_rest, quiet, tracking, under_way
+from tests.support.phases import wait_for_long_rest, wait_for_move, wait_for_rest, wait_for_tracking
 
 
 def test_wind_stows_the_tracker_in_mid_move_and_releases_it_after_900_s_of_calm(run_rig):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.wind_m_s = 16.0
         await rig.until_mode(Mode.STOW, 6)
         await asyncio.sleep(180)
@@ -36,13 +36,13 @@ def test_wind_stows_the_tracker_in_mid_move_and_releases_it_after_900_s_of_calm(
         await rig.until_mode(Mode.TRACKING, 120)
 
     rig = run_rig(scenario, safety={"stow_at_least_s": 900})
-    assert rig.of(Move)[0].outcome is MoveOutcome.INTERRUPTED
-    assert "16.0 m/s" in next(change.why for change in rig.of(ModeChange) if change.after is Mode.STOW)
+    assert rig.records_of(Move)[0].outcome is MoveOutcome.INTERRUPTED
+    assert "16.0 m/s" in next(change.why for change in rig.records_of(ModeChange) if change.after is Mode.STOW)
 
 
 def test_a_hold_in_the_instant_of_a_gust_does_not_delay_the_wind_stow(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.wind_m_s = 20.0
         # Before anything else has read the wind.
         await Operator(rig.tracker, 1.0).hold("a look", "ana")
@@ -54,7 +54,7 @@ def test_a_hold_in_the_instant_of_a_gust_does_not_delay_the_wind_stow(run_rig):
 
 def test_hold_stops_a_stow_move_that_still_runs_after_auto_while_the_reference_is_in_doubt(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.power_cycle(rig.clock.monotonic())
         await rig.until(lambda: rig.motion.doubt, 60, "the doubt")
         operator = Operator(rig.tracker, 1.0)
@@ -71,7 +71,7 @@ def test_hold_stops_a_stow_move_that_still_runs_after_auto_while_the_reference_i
 @pytest.mark.parametrize("blows", [False, True])
 def test_auto_interrupts_a_stow_move_at_once_but_not_while_the_wind_blows(run_rig, blows):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         operator = Operator(rig.tracker, 1.0)
         await operator.stow("a test", "ana")
         if blows:
@@ -81,7 +81,7 @@ def test_auto_interrupts_a_stow_move_at_once_but_not_while_the_wind_blows(run_ri
         await operator.auto("a test", "ana")
         if blows:
             assert rig.motion.moving
-            await at_rest(rig)
+            await wait_for_rest(rig)
             assert (rig.mode, rig.truth().b_deg) == (Mode.STOW, pytest.approx(90.0, abs=1.0))
         else:
             await rig.until(lambda: not rig.motion.moving, 2, "rest")
@@ -90,14 +90,14 @@ def test_auto_interrupts_a_stow_move_at_once_but_not_while_the_wind_blows(run_ri
             await rig.until(lambda: rig.motion.moving, 300, "the next move of the law")
 
     rig = run_rig(scenario)
-    stow = next(move for move in rig.of(Move) if (move.target_a_deg, move.target_b_deg) == (0.0, 90.0))
+    stow = next(move for move in rig.records_of(Move) if (move.target_a_deg, move.target_b_deg) == (0.0, 90.0))
     assert stow.outcome is (MoveOutcome.ARRIVED if blows else MoveOutcome.INTERRUPTED)
 
 
 def test_stow_ends_a_reference_run_and_leaves_the_reference_in_doubt(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         rig.control.home()
         await rig.until(lambda: rig.motion.homing, 10, "homing")
         await asyncio.sleep(5)
@@ -117,7 +117,7 @@ def test_stow_ends_a_reference_run_and_leaves_the_reference_in_doubt(run_rig):
 
 def test_a_restarted_positioner_that_takes_no_target_is_cleared_for_a_stow_and_stays_in_doubt(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.unit.inject("a_hall_loss", rig.clock.monotonic())
         await rig.until(lambda: rig.motion.telemetry and rig.motion.telemetry.faults, 7200, "the fault", every_s=1.0)
         # A person switches the unit off and on: the fault is gone, but the axis stays disabled.
@@ -136,7 +136,7 @@ def test_a_restarted_positioner_that_takes_no_target_is_cleared_for_a_stow_and_s
 
 def test_a_wind_sensor_that_falls_silent_stows_the_tracker(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.wind_m_s = None
         await asyncio.sleep(250)
         assert rig.mode is Mode.TRACKING
@@ -148,17 +148,17 @@ def test_a_wind_sensor_that_falls_silent_stows_the_tracker(run_rig):
 @pytest.mark.parametrize("state", ["idle", "ordering", "moving", "homing", "stowing"])
 def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypatch, state):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         if state == "idle":
-            await at_rest(rig)
+            await wait_for_rest(rig)
         elif state == "ordering":
-            await at_rest(rig)
+            await wait_for_rest(rig)
             rig.control.goto(30, 50, "test")
             await asyncio.sleep(0.01)
         elif state == "moving":
             await asyncio.sleep(2)
         elif state == "homing":
-            await at_rest(rig)
+            await wait_for_rest(rig)
             rig.control.home()
             await rig.until(lambda: rig.motion.homing, 10, "homing")
             await asyncio.sleep(3)
@@ -187,8 +187,8 @@ def test_stop_is_sent_within_200_ms_in_every_state_and_latches(run_rig, monkeypa
 
 def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         rig.control.goto(-40, 30, "test")
         await asyncio.sleep(5)
         rig.cables.positioner.link_up = False
@@ -207,8 +207,8 @@ def test_a_goto_from_before_a_fault_is_not_carried_out_after_it(run_rig):
 
 def test_goto_moves_to_its_target_and_holds(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         rig.control.goto(-20, 70, "look at the other side")
         await asyncio.sleep(900)
         assert rig.mode is Mode.HOLD
@@ -220,7 +220,7 @@ def test_goto_moves_to_its_target_and_holds(run_rig):
 @pytest.mark.parametrize("target", [(51, 60), (0, 14.9), (math.nan, 60), (0, math.inf)])
 def test_a_target_outside_the_limits_is_refused_by_control_and_by_the_driver(run_rig, target):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         with pytest.raises(ValueError, match=r"limits \(A -50..50 deg, B 15..90 deg\)"):
             rig.control.goto(*target, "test")
         with pytest.raises(ValueError, match="limits"):
@@ -259,7 +259,7 @@ def test_orders_and_stops_are_refused_before_the_positioner_has_answered(run_rig
 @pytest.mark.parametrize("asked", ["stop", "maintenance", "hold"])
 def test_an_auto_dated_before_the_stop_hold_or_maintenance_that_it_would_end_is_refused(run_rig, asked):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         operators = Operators(rig.service.trackers, 1.0)
         await operators.carry_out(parse(asked, b'{"by": "ana@lab"}', "HTTP"))
         since_utc_s = getattr(rig.control.wishes, asked).since_utc_s
@@ -286,7 +286,9 @@ def test_a_stop_that_cannot_be_sent_says_why_the_positioner_cannot_be_reached():
     async def scenario():
         clock, stop = LoopClock(asyncio.get_running_loop().time, 1.7e9), asyncio.Event()
         rig = Rig(None, (TrackerInstruments(build_positioner(settings, clock)),), None, simulated=False)
-        service = Service(settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), Notifier({}, 0))
+        service = Service(
+            settings, Role.TRACKER, rig, clock, Random(1), Bus(), bytes(range(32)), SystemdNotifier({}, 0)
+        )
         running = asyncio.create_task(service.run(stop))
         (tracker,) = service.trackers
         while not tracker.motion.outage.is_down:  # noqa: ASYNC110 - it is told to a log only

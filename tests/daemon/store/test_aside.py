@@ -17,7 +17,7 @@ import pytest
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.records import Event
-from daemon.store.aside import aside_text, move_aside, stores_aside
+from daemon.store.aside import aside_text, find_moved_aside, move_aside
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading
 from daemon.store.store import Store
@@ -133,7 +133,7 @@ def test_an_unusable_store_is_moved_aside_with_an_alarm_and_logged_once(keep, tm
     store = opened(folder, alarms)
     store.keep(Event(T0, 1.0, "test", "new"))
     store.close()
-    (aside,) = stores_aside(path)
+    (aside,) = find_moved_aside(path)
     assert aside.name.split(".")[0::2] == ["heliocube", kind]
     # In these two the damage shows only at the first writing, after the beginning of a run was written.
     assert content(aside) == before or spoil in (with_rubbish_pages, without_a_table)
@@ -161,7 +161,7 @@ def test_the_wal_and_shm_files_of_an_unusable_store_are_moved_aside_with_it(keep
     for suffix in ("-wal", "-shm"):
         Path(f"{path}{suffix}").write_text(suffix)
     opened(folder, {}).close()
-    (aside,) = stores_aside(path)
+    (aside,) = find_moved_aside(path)
     assert Path(f"{aside}-wal").read_text() == "-wal"
     assert Path(f"{aside}-shm").read_text() == "-shm"
 
@@ -175,7 +175,7 @@ def test_things_in_the_place_of_sqlite_side_files_are_moved_aside_alone_and_the_
     store = opened(folder, alarms)
     store.keep(scan(1))
     store.close()
-    aside = stores_aside(path)
+    aside = find_moved_aside(path)
     assert [one.name.split(".")[-2] for one in aside] == ["beside"] * 3
     says = f"what was in the place of a file that SQLite keeps beside the store was moved aside as {aside[-1]}, and 2"
     assert alarms["store-aside"].startswith(f"{says} before it, and the store goes on: this alarm ends when")
@@ -197,7 +197,7 @@ def test_damage_of_the_store_found_while_writing_loses_no_later_record(keep, tmp
         store.keep(scan(3000 + n))
     until(lambda: store.status.waiting == 0)
     store.close()
-    (aside,) = stores_aside(path)
+    (aside,) = find_moved_aside(path)
     assert "damaged" in aside.name
     assert str(aside) in alarms["store-aside"]
     assert store.status.lost == 0
@@ -214,7 +214,7 @@ def test_on_a_disk_that_damages_one_store_after_another_only_one_is_moved_aside(
     with_rubbish_pages(path)
     store = opened(folder, alarms, 0.05)
     store.keep(scan(1))
-    until(lambda: stores_aside(path))
+    until(lambda: find_moved_aside(path))
     until(lambda: store.status.written == 1)
     for n in range(2000):
         store.keep(scan(2 + n))
@@ -226,7 +226,7 @@ def test_on_a_disk_that_damages_one_store_after_another_only_one_is_moved_aside(
     for n in range(20_000):
         store.keep(scan(3000 + n))
     until(lambda: store.status.down_why)
-    assert len(stores_aside(path)) == 1
+    assert len(find_moved_aside(path)) == 1
     assert "records wait in memory" in alarms["store-down"]
     path.unlink()
     until(lambda: store.status.waiting == 0)
@@ -296,10 +296,10 @@ def test_a_store_file_of_another_user_is_moved_aside_only_if_the_folder_can_be_w
         assert found.returncode == 0, found.stderr
         if own_folder:
             assert "may not be written by this user" in found.stdout
-            assert [one.name.split(".")[-2] for one in stores_aside(folder / FILE_NAME)] == ["locked"]
+            assert [one.name.split(".")[-2] for one in find_moved_aside(folder / FILE_NAME)] == ["locked"]
         else:
             assert "the store cannot write: " in found.stdout
-            assert not stores_aside(folder / FILE_NAME)
+            assert not find_moved_aside(folder / FILE_NAME)
 
 
 def test_the_salvage_command_named_in_the_alarm_works_as_it_is_written(keep, heliocube):

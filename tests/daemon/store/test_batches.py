@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from daemon.base.clock import SystemClock
 from daemon.base.records import Event, Pose
-from daemon.store.batches import KINDS, BatchError, decoded, encoded, identified, next_batch
+from daemon.store.batches import KINDS, BatchError, decoded, encoded, next_batch, with_identifier
 from daemon.store.runs import runs_of
 from daemon.store.schema import FILE_NAME, open_for_reading
 from daemon.store.store import Store
@@ -88,9 +88,9 @@ def test_an_old_run_without_an_identifier_always_gets_the_same_one_and_no_other_
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("ALTER TABLE runs DROP COLUMN id")
         connection.execute("PRAGMA user_version = 7")
-    first = [identified(*found).id for found in runs_of(path)]
+    first = [with_identifier(*found).id for found in runs_of(path)]
     kept(run=origin())
-    assert [identified(*found).id for found in runs_of(path)] == first
+    assert [with_identifier(*found).id for found in runs_of(path)] == first
     assert len(set(first)) == 2
 
 

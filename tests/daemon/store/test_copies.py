@@ -11,7 +11,7 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import VirtualTimeLoop
 from daemon.store.copies import copies_of, copy_path
 from daemon.store.release_kept import FILE_NAME as RELEASE_NAME
-from daemon.store.release_kept import Releases
+from daemon.store.release_kept import ReleaseWatch
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading
 from daemon.store.store import Store
 from tests.daemon.store.test_full_disk import small_disk
@@ -83,7 +83,7 @@ def release(tmp_path):
         told = []
         with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
             clock = LoopClock(runner.get_loop().time, 1.7e9)
-            releases = Releases(StateFolder(tmp_path), RELEASE_NAME, name, clock, told.append)
+            releases = ReleaseWatch(StateFolder(tmp_path), RELEASE_NAME, name, clock, told.append)
 
             async def scenario():
                 running = asyncio.create_task(releases.run(kept))

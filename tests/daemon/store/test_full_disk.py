@@ -17,7 +17,7 @@ from daemon.store.tables import TableError, TableWriter
 from tests.daemon.store.test_store import ORIGIN, count
 from tests.daemon.store.test_tables import scan
 from tests.support import PATIENCE_S
-from tests.support.phases import tracking
+from tests.support.phases import wait_for_tracking
 
 
 @pytest.fixture
@@ -103,12 +103,12 @@ def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_
 
     async def scenario(rig):
         rig.bus.subscribe(store.keep)
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await asyncio.sleep(1800)
         assert rig.mode is Mode.TRACKING
 
     rig = run_rig(scenario)
-    assert len(rig.of(Decision)) >= 6
+    assert len(rig.records_of(Decision)) >= 6
     assert (
         told.get(timeout=PATIENCE_S).text == f"cannot write: the disk of {small_disk} is full; records wait in memory"
     )
@@ -117,7 +117,7 @@ def test_a_full_disk_does_not_stop_control_and_no_record_is_lost(run_rig, small_
     store.close()
     assert told.get(timeout=PATIENCE_S).text == "writes again; nothing was lost"
     assert told.empty()
-    assert count(small_disk, "scans") == len(rig.of(Scan))
+    assert count(small_disk, "scans") == len(rig.records_of(Scan))
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])

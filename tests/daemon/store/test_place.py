@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.store.place import claimed, default_place
+from daemon.store.place import default_records_folder, lock_folder
 
 
 @pytest.mark.parametrize(
@@ -20,19 +20,19 @@ from daemon.store.place import claimed, default_place
     ],
 )
 def test_each_configuration_file_has_a_default_folder_of_its_own_for_records(file, environment, place):
-    assert default_place(Path(file), environment) == Path(place)
+    assert default_records_folder(Path(file), environment) == Path(place)
 
 
 def test_two_services_of_one_role_do_not_share_a_folder(tmp_path):
-    with claimed(tmp_path / "records", ("cube",)):
+    with lock_folder(tmp_path / "records", ("cube",)):
         with (
             pytest.raises(UserError, match="another service that runs keeps records and state of the role cube in "),
-            claimed(tmp_path / "records", ("tracker", "cube")),
+            lock_folder(tmp_path / "records", ("tracker", "cube")),
         ):
             pytest.fail("two cubes keep their records in one folder")
-        with claimed(tmp_path / "records", ("tracker",)), claimed(tmp_path / "other", ("cube",)):
+        with lock_folder(tmp_path / "records", ("tracker",)), lock_folder(tmp_path / "other", ("cube",)):
             pass
-    with claimed(tmp_path / "records", ("tracker", "cube")):
+    with lock_folder(tmp_path / "records", ("tracker", "cube")):
         pass
 
 
@@ -40,6 +40,6 @@ def test_a_folder_that_cannot_take_a_file_may_be_claimed_more_than_once(tmp_path
     (tmp_path / "file").write_text("")
     with ExitStack() as stack:
         for _ in range(2):
-            stack.enter_context(claimed(tmp_path / "file", ("tracker",)))
-            stack.enter_context(claimed(None, ("tracker",)))
+            stack.enter_context(lock_folder(tmp_path / "file", ("tracker",)))
+            stack.enter_context(lock_folder(None, ("tracker",)))
     assert (tmp_path / "file").read_text() == ""

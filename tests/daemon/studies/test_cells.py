@@ -6,7 +6,7 @@ import re
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.rigs.measured import measured_weather
+from daemon.rigs.measured import read_weather
 from daemon.studies.calibrate.readings import read_csv as read_faces_in_mv
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
@@ -17,7 +17,7 @@ from sim_drivers.weather import WeatherError
 
 
 def weather_values(path):
-    return measured_weather(path).irradiance_w_m2
+    return read_weather(path).irradiance_w_m2
 
 
 MARKED = "begins with a quotation mark and no mark ends it: take the mark out, or close it"
@@ -80,11 +80,11 @@ def test_a_remark_of_two_lines_is_read(tmp_path, read, head, row):
 
 
 def notes_of_weather(path):
-    return [measured_weather(path).note()]
+    return [read_weather(path).note()]
 
 
 def times_of_weather(path):
-    return measured_weather(path).utc_s
+    return read_weather(path).utc_s
 
 
 LOGGED = [

@@ -3,7 +3,7 @@
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.rigs.measured import measured_weather
+from daemon.rigs.measured import read_weather
 from daemon.studies.calibrate.readings import read_csv as read_faces
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
@@ -16,7 +16,7 @@ TABLES = [
     (read_csv, "time,east,south,west,zenith", "1,2,3,4"),
     (read_faces, "time,east_w_m2,south_w_m2,west_w_m2,zenith_w_m2", "1,2,3,4"),
     (read_reference, "time,ghi", "1"),
-    (measured_weather, "time,ghi,dni,dhi", "1,2,3"),
+    (read_weather, "time,ghi,dni,dhi", "1,2,3"),
 ]
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.rigs.measured import measured_weather
+from daemon.rigs.measured import read_weather
 from daemon.studies.calibrate.readings import read_csv as read_faces_in_mv
 from daemon.studies.calibrate.readings import read_reference
 from daemon.studies.compare.pairs import read_tables
@@ -19,7 +19,7 @@ from daemon.studies.sites.table import read_sites
 
 
 def weather_values(path):
-    return measured_weather(path).irradiance_w_m2
+    return read_weather(path).irradiance_w_m2
 
 
 READERS = [
@@ -96,7 +96,7 @@ def test_a_table_that_has_been_unpacked_under_its_old_name_is_refused_with_what_
         read(path)
 
 
-@pytest.mark.parametrize("read", [measured_weather, read_reference, lambda path: read_tables([path])])
+@pytest.mark.parametrize("read", [read_weather, read_reference, lambda path: read_tables([path])])
 @pytest.mark.parametrize("wrong", ["now", "today", "0001-01-01T00:00+05:00", "1066-10-14", "2300-01-01", "NaT"])
 def test_a_word_or_a_year_long_past_or_far_ahead_is_refused_as_a_time(tmp_path, read, wrong):
     path = tmp_path / "table.csv"
@@ -137,7 +137,7 @@ def test_powers_with_a_column_twice_are_refused(tmp_path, again):
         read_tables([path])
 
 
-@pytest.mark.parametrize("read", [measured_weather, read_reference, lambda path: read_tables([path])])
+@pytest.mark.parametrize("read", [read_weather, read_reference, lambda path: read_tables([path])])
 def test_lines_with_a_cell_more_than_the_header_are_refused(tmp_path, read):
     path = tmp_path / "table.csv"
     path.write_text("time,dni,dhi,ghi\n2022-10-14T10:00Z,1,2,3,\n2022-10-14T10:01Z,1,2,3,\n")
@@ -152,7 +152,7 @@ def test_powers_in_parquet_are_read_whatever_the_case_of_their_ending(tmp_path):
     assert powers[["tracker", "pmpp_w"]].to_numpy().tolist() == [["cube", 50.0]]
 
 
-@pytest.mark.parametrize("read", [measured_weather, *READERS[1:]])
+@pytest.mark.parametrize("read", [read_weather, *READERS[1:]])
 def test_a_table_in_another_encoding_than_utf_8_is_refused_with_what_to_do(tmp_path, read):
     path = tmp_path / "table.csv"
     path.write_bytes("time,name,ghi,Température °C\n2022-10-14T10:00Z,here,1,20\n".encode("latin-1"))
@@ -163,7 +163,7 @@ def test_a_table_in_another_encoding_than_utf_8_is_refused_with_what_to_do(tmp_p
 def test_column_names_and_cells_of_a_weather_file_may_be_quoted_after_blanks(tmp_path):
     path = tmp_path / "weather.csv"
     path.write_text('"time", "ghi", "dni", "dhi"\n"2022-10-14T10:00Z", "1", "2", "3"\n')
-    assert measured_weather(path).irradiance_w_m2["dhi"].tolist() == [3.0]
+    assert read_weather(path).irradiance_w_m2["dhi"].tolist() == [3.0]
 
 
 @pytest.mark.parametrize(("read", "head", "row"), TABLES)
@@ -230,7 +230,7 @@ def test_inf_from_a_logger_beyond_its_range_is_reported_as_an_impossible_reading
     path.write_text("time,east,south,west,zenith\n2022-10-14T10:00Z,1,INF,3,-INF\n")
     assert read_csv(path).first_impossible == "line 2: south INF"
     path.write_text("time,ghi,dni,dhi\n2022-10-14T10:00Z,INF,2,3\n2022-10-14T10:01Z,1,2,3\n")
-    assert measured_weather(path).note().endswith("first in line 2: ghi INF, not in -50..2500")
+    assert read_weather(path).note().endswith("first in line 2: ghi INF, not in -50..2500")
 
 
 def test_an_empty_file_of_readings_is_refused_as_empty(tmp_path):

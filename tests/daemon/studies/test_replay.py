@@ -101,10 +101,10 @@ def test_a_replay_follows_the_sun_through_a_clear_hour_at_any_cadence(replayed, 
 def test_a_replayed_tracker_stands_where_the_live_tracker_stood(run_rig, replayed, law):
     # Decisions lie well away from the edges of the clouds, where one scan more would turn the mean by degrees.
     rig = run_rig(half_an_hour, law={"name": law}, weather=Blinking(), start="2022-10-12T10:02")
-    scans = rig.of(Scan)
+    scans = rig.records_of(Scan)
     lines = [[iso_utc(scan.time_utc_s), *(f"{face.irradiance_w_m2}" for face in scan.faces)] for scan in scans]
     found = replayed(lines, law)
-    poses = rig.of(Pose)
+    poses = rig.records_of(Pose)
     times = np.array([pose.time_utc_s for pose in poses])
     moving = np.array([pose.time_utc_s for pose in poses if pose.moving])
     compared = 0

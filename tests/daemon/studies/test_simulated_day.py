@@ -12,7 +12,7 @@ from daemon.base.records import Event, Mode, ModeChange, Pose
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_weather
 from daemon.store.tables import TableWriter
-from daemon.studies.simulated_day import SIMULATED_COLUMNS, Poses, placed
+from daemon.studies.simulated_day import SIMULATED_COLUMNS, Poses, with_plane_orientation
 from solar.ephemeris import DAY_S, sun_direction
 from solar.frames import Limits, angles_within
 from solar.skies.sky import SkyModel
@@ -26,19 +26,19 @@ BEGIN, END = NOON - 0.5 * DAY_S, NOON + 0.5 * DAY_S
     [(0.0, 90.0, 48.0, 0.0, None), (0.0, 30.0, 48.0, 60.0, 180.0), (0.0, 30.0, -33.0, 60.0, 0.0)],
 )
 def test_a_pose_gets_the_tilt_and_the_azimuth_of_its_plane(a_deg, b_deg, latitude_deg, tilt, azimuth):
-    found = placed(Pose(NOON, 0.0, a_deg, b_deg, False, "roof"), latitude_deg)
+    found = with_plane_orientation(Pose(NOON, 0.0, a_deg, b_deg, False, "roof"), latitude_deg)
     assert found.surface_tilt == pytest.approx(tilt)
     if azimuth is not None:
         assert np.cos(np.radians(found.surface_azimuth - azimuth)) == pytest.approx(1.0)
     assert (found.time_utc_s, found.a_deg, found.b_deg, found.tracker) == (NOON, a_deg, b_deg, "roof")
-    west = placed(Pose(NOON, 0.0, 40.0, 60.0, False), 48.0)
+    west = with_plane_orientation(Pose(NOON, 0.0, 40.0, 60.0, False), 48.0)
     assert 180.0 < west.surface_azimuth < 270.0
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_every_row_of_every_table_says_that_it_is_simulated(tmp_path, form):
     records = [
-        placed(Pose(NOON, 0.0, -0.0, 90.0, False, "roof"), 48.0),
+        with_plane_orientation(Pose(NOON, 0.0, -0.0, 90.0, False, "roof"), 48.0),
         Event(time_utc_s=NOON, time_monotonic_s=0.0, subject="clock", text="set", tracker="roof"),
         ModeChange(
             time_utc_s=NOON, time_monotonic_s=0.0, before=Mode.STARTING, after=Mode.NIGHT, why="dark", tracker="roof"

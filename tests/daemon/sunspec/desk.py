@@ -1,12 +1,12 @@
 """A control room on the rig under virtual time."""
 
 from daemon.service.operator_commands import Operators
-from daemon.service.recent import Recent
+from daemon.service.recent import RecentRecords
 from daemon.sunspec.models import BASE
 from daemon.sunspec.server import SunSpecServer
-from drivers.modbus.framing import Asked
+from drivers.modbus.framing import ReceivedRequest
 from drivers.modbus.pdu import read_registers, registers_of, write_registers
-from tests.support.phases import at_rest, tracking
+from tests.support.phases import wait_for_rest, wait_for_tracking
 
 UNIT = 1
 
@@ -23,13 +23,15 @@ class Control:
         own = settings.sunspec.model_copy(update={"enabled": True, "manual": manual})
         settings = settings.model_copy(update={"sunspec": own})
         operators = Operators(rig.service.trackers, 1.0)
-        self.recent = Recent()
+        self.recent = RecentRecords()
         rig.bus.subscribe(self.recent.note)
-        self.see = lambda: rig.see(self.recent)
-        self.server = SunSpecServer(settings, self.see, operators, rig.clock, rig.service.cube_alarms.set, 1.0)
+        self.take_snapshot = lambda: rig.take_snapshot(self.recent)
+        self.server = SunSpecServer(
+            settings, self.take_snapshot, operators, rig.clock, rig.service.cube_alarms.set, 1.0
+        )
 
     async def ask(self, request):
-        return await self.server._answer(Asked(request), "127.0.0.1")
+        return await self.server._answer(ReceivedRequest(request), "127.0.0.1")
 
     async def read(self, register, count):
         return registers_of(await self.ask(read_registers(UNIT, 3, register, count)))
@@ -51,8 +53,8 @@ class Control:
 
 def on_rig(run_rig, scenario, *, manual=True, **options):
     async def beside(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         control = Control(rig, manual=manual)
         try:
             await scenario(rig, control)

@@ -5,9 +5,9 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode, Move, MoveOutcome
-from drivers.modbus.pdu import number
+from drivers.modbus.pdu import decode_number
 from tests.daemon.sunspec.desk import on_rig
-from tests.support.phases import at_rest
+from tests.support.phases import wait_for_rest
 
 
 @pytest.mark.parametrize("stopped", [False, True])
@@ -21,7 +21,7 @@ def test_a_failed_stow_that_awaits_a_retry_sets_the_alarm_bit_for_off_target_als
         else:
             rig.control.stow("storm")
         failed = MoveOutcome.REFUSED, MoveOutcome.STALLED
-        await rig.until(lambda: any(move.outcome in failed for move in rig.of(Move)), 120, "a stow that fails")
+        await rig.until(lambda: any(move.outcome in failed for move in rig.records_of(Move)), 120, "a stow that fails")
         if stopped:
             await rig.control.stop("somebody is at the axes", "ana")
         await asyncio.sleep(5)
@@ -29,7 +29,7 @@ def test_a_failed_stow_that_awaits_a_retry_sets_the_alarm_bit_for_off_target_als
         tracker = (await control.models())[601][1]
         assert (tracker[23], tracker[26 + 21]) == (1, 1)
         sent = tracker[26 + 8 : 26 + 12]
-        assert number(sent[:2], "int32") == 9000, "it has been sent flat"
+        assert decode_number(sent[:2], "int32") == 9000, "it has been sent flat"
 
     on_rig(run_rig, scenario)
 
@@ -63,7 +63,7 @@ def test_a_storm_sets_no_alarm_bit_once_the_tracker_is_at_the_stow_position(run_
     async def scenario(rig, control):
         rig.wind_m_s = 20.0
         await rig.until_mode(Mode.STOW, 20)
-        await at_rest(rig)
+        await wait_for_rest(rig)
         assert rig.truth() == pytest.approx((0.0, 90.0), abs=0.8)
         assert (await control.models())[601][1][23] == 0
 

@@ -27,7 +27,7 @@ def serve(run_rig):
             own = settings.sunspec.model_copy(update={"enabled": True, "listen": f"{host}:{port}"})
             server = SunSpecServer(
                 settings.model_copy(update={"sunspec": own}),
-                rig.see,
+                rig.take_snapshot,
                 Operators(rig.service.trackers, 1.0),
                 rig.clock,
                 rig.service.cube_alarms.set,
@@ -156,7 +156,7 @@ def test_a_port_that_is_taken_raises_an_alarm_until_the_server_gets_it(serve):
             f"the SunSpec device cannot listen on 127.0.0.1:{port}: Address already in use: no control room can read or"
             " command"
         )
-        told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
+        told = [event.text for event in rig.records_of(Event) if event.subject == "alarm"]
         assert told == [f"raised sunspec-down: {text}", f"cleared sunspec-down: {text}"]
         await ended(task)
 

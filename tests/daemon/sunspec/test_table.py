@@ -8,9 +8,9 @@ from daemon.base.records import Event, Mode
 from daemon.service.operator import Operator
 from daemon.sunspec.models import BASE, SunSpecMap
 from daemon.sunspec.table import SunSpecTable
-from drivers.modbus.pdu import ModbusRequest, number, read_registers, registers_of, write_register
+from drivers.modbus.pdu import ModbusRequest, decode_number, read_registers, registers_of, write_register
 from tests.daemon.sunspec.desk import UNIT, Control, int32, on_rig
-from tests.support.phases import at_rest
+from tests.support.phases import wait_for_rest
 from tests.support.rig import ServiceRig
 
 
@@ -19,21 +19,21 @@ def test_the_models_show_the_irradiances_the_site_and_the_pose_of_the_rig(run_ri
         await asyncio.sleep(11)
         models = await control.models()
         assert list(models) == [1, 302, 305, 307, 601]
-        scan = control.see().scan
+        scan = control.take_snapshot().scan
         points = models[302][1]
         assert (points[0], points[9], points[14], points[19]) == tuple(
             round(face.irradiance_w_m2) for face in (scan.zenith, scan.east, scan.south, scan.west)
         )
         place = models[305][1]
-        assert number(place[30:32], "int32") / 1e7 == pytest.approx(48.717607, abs=1e-6)
+        assert decode_number(place[30:32], "int32") / 1e7 == pytest.approx(48.717607, abs=1e-6)
         assert models[307][1][3] == 3
         tracker = models[601][1]
         assert (len(tracker), tracker[8], tracker[24], tracker[25]) == (48, 5, 0xFFFE, 1)
         block = tracker[26:]
-        elevation, azimuth = (number(block[at : at + 2], "int32") / 100 for at in (12, 14))
+        elevation, azimuth = (decode_number(block[at : at + 2], "int32") / 100 for at in (12, 14))
         direction = SunSpecMap("x", 1, {})._angles("x", *rig.truth(), 48.7)
         assert (elevation, azimuth) == pytest.approx(
-            (number(direction[:2], "int32") / 100, number(direction[2:], "int32") / 100), abs=0.3
+            (decode_number(direction[:2], "int32") / 100, decode_number(direction[2:], "int32") / 100), abs=0.3
         )
         assert block[20:] == (0, 0)
 
@@ -76,12 +76,12 @@ def test_mode_manual_with_angles_is_a_goto_and_mode_automatic_returns_the_tracke
         assert await control.write(at, [*int32(3383), *int32(21701), 1]) == 0
         await rig.until(lambda: rig.truth() == pytest.approx((30.0, 40.0), abs=0.8), 120, "the manual target")
         assert rig.mode is Mode.HOLD
-        await at_rest(rig)
+        await wait_for_rest(rig)
         await asyncio.sleep(15)
         points = (await control.models())[601][1]
-        assert (number(points[18:20], "int32"), points[22], points[26 + 20]) == (3383.0, 1, 1)
+        assert (decode_number(points[18:20], "int32"), points[22], points[26 + 20]) == (3383.0, 1, 1)
         assert points[26 + 21] == 0
-        assert number(points[26 + 8 : 26 + 10], "int32") == pytest.approx(3383, abs=1)
+        assert decode_number(points[26 + 8 : 26 + 10], "int32") == pytest.approx(3383, abs=1)
         assert await control.write(at + 4, [0]) == 0
         await rig.until_mode(Mode.TRACKING, 60)
         assert (await control.models())[601][1][18:23] == (0x8000, 0, 0x8000, 0, 0)
@@ -120,7 +120,7 @@ def test_manual_without_angles_holds_the_tracker_in_place_after_a_person_ended_t
             await rig.control.stop("a hand in the gear", "ana")
         rig.control.auto()
         await asyncio.sleep(60)
-        await at_rest(rig)
+        await wait_for_rest(rig)
         before = rig.truth()
         assert await control.write(at + 4, [1]) == 0
         assert await control.read(at, 5) == (0x8000, 0, 0x8000, 0, 1)
@@ -248,7 +248,7 @@ def test_reads_at_the_same_moment_share_one_snapshot(run_rig):
         taken = []
         table = SunSpecTable(
             SunSpecMap("x", 1, {"tracker": 0.8}),
-            lambda: taken.append(1) or rig.see(),
+            lambda: taken.append(1) or rig.take_snapshot(),
             rig.clock.monotonic,
             writable=False,
         )
@@ -268,7 +268,7 @@ def test_a_second_target_right_after_the_first_is_the_one_that_counts(run_rig):
         await asyncio.sleep(10)
         assert await control.read(at, 5) == (*int32(5000), *int32(15000), 1)
         assert await control.write(at + 4, [1]) == 0
-        assert control.see().trackers[0].wishes.hold.goto_deg is not None
+        assert control.take_snapshot().trackers[0].wishes.hold.goto_deg is not None
 
     on_rig(run_rig, scenario)
 
@@ -285,7 +285,7 @@ def test_a_control_room_that_writes_the_same_every_second_gives_one_order(run_ri
             return len(told()) - before
 
         def told():
-            return [event.text for event in rig.of(Event) if event.subject == "operator"]
+            return [event.text for event in rig.records_of(Event) if event.subject == "operator"]
 
         block = [*int32(3383), *int32(21701), 1]
         assert await orders(block) == 1

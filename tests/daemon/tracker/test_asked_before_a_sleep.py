@@ -10,8 +10,8 @@ import pytest
 from daemon.base.records import Event, Mode
 from drivers.interfaces import Telemetry
 from tests.daemon.tracker.days import at, operator
-from tests.support.motion import commands_sent, targets
-from tests.support.phases import at_rest, told, tracking
+from tests.support.motion import commands_sent, target_packets
+from tests.support.phases import positioner_events, wait_for_rest, wait_for_tracking
 
 ENDED = "test; a sleep of the machine has ended the goto to A 40, B 30 deg"
 
@@ -27,12 +27,12 @@ def there(rig):
 
 
 def has_homed(rig):
-    return "homing finished" in told(rig)
+    return "homing finished" in positioner_events(rig)
 
 
 async def on_its_way(rig):
-    await tracking(rig)
-    await at_rest(rig)
+    await wait_for_tracking(rig)
+    await wait_for_rest(rig)
     await operator(rig).goto(40, 30, "test")
     await asyncio.sleep(5.0)
     assert rig.motion.moving
@@ -49,7 +49,7 @@ def test_a_goto_under_way_does_not_go_on_after_the_machine_has_slept(run_rig, cl
         assert rig.truth() == stands, "nobody stands there any more"
         assert rig.mode is Mode.HOLD
         assert rig.control.why.startswith(ENDED)
-        assert sum(event.text.startswith(ENDED) for event in rig.of(Event)) == 1
+        assert sum(event.text.startswith(ENDED) for event in rig.records_of(Event)) == 1
         await operator(rig).goto(40, 30, "test")
         await rig.until(lambda: there(rig), 120, "the goto that was given again")
 
@@ -63,7 +63,7 @@ def test_a_goto_that_has_arrived_stays_in_force_after_the_machine_has_slept(run_
         sleep(rig)
         await asyncio.sleep(60.0)
         assert rig.control.why == "test"
-        assert not any(ENDED in event.text for event in rig.of(Event))
+        assert not any(ENDED in event.text for event in rig.records_of(Event))
 
     run_rig(scenario)
 
@@ -85,8 +85,8 @@ def test_a_wind_stow_goes_on_after_the_machine_has_slept_and_the_goto_before_it_
 
 
 async def homing(rig):
-    await tracking(rig)
-    await at_rest(rig)
+    await wait_for_tracking(rig)
+    await wait_for_rest(rig)
     await operator(rig).hold("test")
     await operator(rig).home("test")
     await asyncio.sleep(5.0)
@@ -102,8 +102,10 @@ def test_a_reference_run_does_not_go_on_after_the_machine_has_slept(run_rig, mon
         stands = rig.truth()
         await asyncio.sleep(120.0)
         assert rig.truth() == stands
-        assert "homing was stopped before its end: the machine slept; give 'heliocube home' again" in told(rig)
-        assert not targets(sent)
+        assert "homing was stopped before its end: the machine slept; give 'heliocube home' again" in positioner_events(
+            rig
+        )
+        assert not target_packets(sent)
         telemetry = rig.motion.telemetry
         assert isinstance(telemetry, Telemetry)
         assert not telemetry.homing

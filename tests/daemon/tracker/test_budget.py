@@ -66,7 +66,7 @@ def test_the_last_move_and_the_last_degree_are_allowed_and_no_more(moves, each_d
 ])  # fmt: skip
 def test_the_last_quarter_of_the_travel_is_kept_for_following_the_sun_and_an_alarm_says_so(moves, each_deg, kept):
     budget = Budget().spend(moves, each_deg)
-    assert budget.is_for_the_sun == kept
+    assert budget.is_reserved_for_sun == kept
     assert [text.partition(" (")[0] for text in budget.texts] == [
         "three quarters of the day's budget of travel are used"
     ] * kept
@@ -91,9 +91,9 @@ def test_the_moves_of_a_day_are_spread_until_sunset_and_a_tenth_may_be_made_earl
 
 def test_the_budget_begins_anew_at_solar_midnight():
     budget = Budget().spend(80, 1.0)
-    budget.turn(MIDNIGHT_UTC_S + DAY_S - 1.0)
+    budget.begin_day_if_due(MIDNIGHT_UTC_S + DAY_S - 1.0)
     assert left(budget) == (20, 320.0)
-    budget.turn(MIDNIGHT_UTC_S + DAY_S)
+    budget.begin_day_if_due(MIDNIGHT_UTC_S + DAY_S)
     assert left(budget) == (100, 400.0)
     assert budget.texts == []
 
@@ -102,7 +102,7 @@ def test_the_used_budget_and_the_beginning_of_a_new_day_are_kept_over_a_restart(
     Budget(tmp_path).spend(30, 2.0)
     again = Budget(tmp_path, MIDNIGHT_UTC_S + 3600.0)
     assert left(again) == (70, 340.0)
-    again.turn(MIDNIGHT_UTC_S + DAY_S)
+    again.begin_day_if_due(MIDNIGHT_UTC_S + DAY_S)
     assert left(Budget(tmp_path)) == (100, 400.0)
 
 
@@ -111,21 +111,21 @@ def test_a_clock_in_1970_does_not_lose_the_count_of_the_day_to_which_it_is_set_l
     Budget(tmp_path).spend(30, 2.0)
     for _ in range(2):
         unset = Budget(tmp_path, 5.0)
-        unset.turn(5.0)
+        unset.begin_day_if_due(5.0)
         assert left(unset) == (100, 400.0)
         unset.spend(5, 2.0)
-    unset.turn(noon_utc_s)
+    unset.begin_day_if_due(noon_utc_s)
     assert left(unset) == left(Budget(tmp_path)) == (60, 320.0)
-    unset.turn(noon_utc_s + DAY_S)
+    unset.begin_day_if_due(noon_utc_s + DAY_S)
     assert left(unset) == left(Budget(tmp_path)) == (100, 400.0)
 
 
 def test_a_kept_count_of_a_future_day_does_not_limit_the_moves_of_today(tmp_path):
     Budget(tmp_path, MIDNIGHT_UTC_S + 9000 * DAY_S).spend(100, 2.0)
     budget = Budget(tmp_path)
-    budget.turn(MIDNIGHT_UTC_S)
+    budget.begin_day_if_due(MIDNIGHT_UTC_S)
     assert left(budget) == (100, 400.0)
-    budget.turn(MIDNIGHT_UTC_S + DAY_S)
+    budget.begin_day_if_due(MIDNIGHT_UTC_S + DAY_S)
     assert left(Budget(tmp_path)) == (100, 400.0)
 
 

@@ -7,7 +7,7 @@ import pytest
 from daemon.base.records import Decision, Mode
 from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
-from tests.support.rig import SITE, HandWeather
+from tests.support.rig import SITE, ManualWeather
 
 # Scans enough for every decision, at a quarter of the work.
 SELDOM = {"cube": {"scan_every_s": 20}, "safety": {"scan_stale_s": 65}}
@@ -87,18 +87,18 @@ def test_mu_prime_goes_on_turning_the_tracker_by_good_faces_while_the_clock_is_i
         await rig.until_mode(Mode.TRACKING, 60)
         await asyncio.sleep(400)
         assert rig.truth().b_deg == pytest.approx(90.0, abs=1.0), "the sky is even"
-        decided = len(rig.of(Decision))
+        decided = len(rig.records_of(Decision))
         rig.clock.step_s = 12 * 3600.0 - 1800.0
         # The scene computes an hour ahead, so this is the light from eleven o'clock on.
         rig.weather.dni, rig.weather.dhi = 700.0, 90.0
         await asyncio.sleep(1200)
         assert "clock" in [alarm.name for alarm in rig.tracker.alarms.active]
         assert rig.mode is Mode.TRACKING
-        assert {decision.law for decision in rig.of(Decision)[decided:]} == {"mu-prime"}
+        assert {decision.law for decision in rig.records_of(Decision)[decided:]} == {"mu-prime"}
         sun = sun_direction(rig.clock.true_utc(), *SITE)
         assert separation_deg(normal_from_angles(*rig.truth()), sun) < 10.0
 
-    run_rig(scenario, start="2022-10-12T10:50", weather=HandWeather(dni=0, dhi=150))
+    run_rig(scenario, start="2022-10-12T10:50", weather=ManualWeather(dni=0, dhi=150))
 
 
 def test_dark_faces_are_not_night_while_the_clock_is_in_doubt_and_the_tracker_stays_where_it_is(run_rig):
@@ -134,4 +134,4 @@ def test_the_law_learns_nothing_while_the_time_of_day_is_in_doubt(run_rig):
         await asyncio.sleep(60)
         assert received
 
-    run_rig(scenario, law={"name": "optimal"}, weather=HandWeather())
+    run_rig(scenario, law={"name": "optimal"}, weather=ManualWeather())

@@ -5,12 +5,12 @@ import asyncio
 import pytest
 
 from daemon.base.records import Decision, Mode, Pose
-from daemon.tracker.pointing import NamedLaw, Whereabouts, ask, foresee
+from daemon.tracker.pointing import NamedLaw, PoseAndTarget, ask_law, preview_decision
 from solar.ephemeris import Site
 from solar.frames import Limits, normal_from_angles, separation_deg
 from solar.laws.flat import FlatLaw, FlatSettings
 from solar.laws.law import TrackerFacts
-from tests.support.rig import SITE, HandWeather
+from tests.support.rig import SITE, ManualWeather
 
 SOON_S = 12
 
@@ -20,9 +20,9 @@ async def soon(rig):
     await rig.until_mode(Mode.TRACKING, 120)
     await asyncio.sleep(400)
     await rig.until(lambda: 2 < rig.control.state.next_decision_s < SOON_S, 400, "the time before a decision")
-    foreseen, decided = rig.control.foresee(), len(rig.of(Decision))
-    await rig.until(lambda: len(rig.of(Decision)) > decided, 60, "the decision")
-    return foreseen, rig.of(Decision)[-1]
+    foreseen, decided = rig.control.preview_decision(), len(rig.records_of(Decision))
+    await rig.until(lambda: len(rig.records_of(Decision)) > decided, 60, "the decision")
+    return foreseen, rig.records_of(Decision)[-1]
 
 
 @pytest.mark.parametrize("law", ["mu-prime", "sun-vector", "chronometric", "optimal", "flat"])
@@ -47,7 +47,7 @@ def test_an_even_sky_is_named_as_the_reason_to_lie_flat(run_rig):
         assert foreseen.target.why == decision.target.why
         assert not foreseen.moves, "it lies flat already"
 
-    run_rig(scenario, weather=HandWeather(dni=0, dhi=150))
+    run_rig(scenario, weather=ManualWeather(dni=0, dhi=150))
 
 
 class Restless(FlatLaw):
@@ -71,11 +71,11 @@ class Bolted(Restless):
 def test_asking_for_the_foreseen_decision_does_not_change_what_the_law_answers(kind, foreseen_deg):
     facts = TrackerFacts(site=Site(*SITE), limits=Limits(), scan_every_s=5.0, decide_every_s=300.0, utc_s=0.0)
     chosen = NamedLaw("restless", kind(FlatSettings(), facts))
-    stands = Whereabouts(Pose(0.0, 0.0, 0.0, 60.0, moving=False), None)
+    stands = PoseAndTarget(Pose(0.0, 0.0, 0.0, 60.0, moving=False), None)
     for _ in range(3):
-        found = foresee(chosen, None, stands, 0.0, 0.6, sun_known=True, may_move=True)
+        found = preview_decision(chosen, None, stands, 0.0, 0.6, sun_known=True, may_move=True)
         assert (found.target.a_deg if found else None) == (foreseen_deg and pytest.approx(foreseen_deg))
-    assert ask(chosen, None, stands, 0.0, sun_known=True).target.a_deg == pytest.approx(5.0)
+    assert ask_law(chosen, None, stands, 0.0, sun_known=True).target.a_deg == pytest.approx(5.0)
 
 
 def test_no_decision_is_foreseen_while_the_tracker_is_stopped(run_rig):
@@ -83,6 +83,6 @@ def test_no_decision_is_foreseen_while_the_tracker_is_stopped(run_rig):
         await rig.until_mode(Mode.TRACKING, 120)
         await rig.control.stop("test")
         await rig.until_mode(Mode.HOLD, 20)
-        assert rig.control.foresee() is None
+        assert rig.control.preview_decision() is None
 
     run_rig(scenario)

@@ -11,7 +11,7 @@ async def just_before_a_decision(rig, lead_s):
     await rig.until_mode(Mode.TRACKING, 60)
     await asyncio.sleep(5)
     await rig.until(lambda: rig.control.state.next_decision_s < lead_s, 400, "the time before a decision")
-    return len(rig.of(Decision))
+    return len(rig.records_of(Decision))
 
 
 def blind(rig, *, yes):
@@ -29,9 +29,9 @@ def test_a_decision_that_falls_due_on_stale_readings_waits_for_fresh_ones(run_ri
         blind(rig, yes=True)
         await asyncio.sleep(55)
         assert rig.mode is Mode.TRACKING
-        assert len(rig.of(Decision)) == decided
+        assert len(rig.records_of(Decision)) == decided
         blind(rig, yes=False)
-        await rig.until(lambda: len(rig.of(Decision)) == decided + 1, 12, "the decision")
+        await rig.until(lambda: len(rig.records_of(Decision)) == decided + 1, 12, "the decision")
 
     run_rig(scenario, law={"name": law})
 
@@ -45,9 +45,9 @@ def test_a_decision_below_the_minimum_coverage_waits_until_it_is_reached(run_rig
         blind(rig, yes=False)
         await asyncio.sleep(30)
         assert rig.mode is Mode.TRACKING
-        assert len(rig.of(Decision)) == decided
-        await rig.until(lambda: len(rig.of(Decision)) > decided, 120, "the decision")
-        assert rig.of(Decision)[decided].irradiances.coverage >= 0.9
+        assert len(rig.records_of(Decision)) == decided
+        await rig.until(lambda: len(rig.records_of(Decision)) > decided, 120, "the decision")
+        assert rig.records_of(Decision)[decided].irradiances.coverage >= 0.9
 
     run_rig(scenario, windows={"minimum_coverage": 0.9})
 
@@ -65,8 +65,8 @@ def test_a_machine_sleep_over_scan_stale_s_discards_earlier_readings_and_a_clock
         decided = await just_before_a_decision(rig, 8)
         # The steady clock stands still while a machine sleeps.
         rig.clock.slept_s, rig.clock.step_s = slept_s, step_s
-        await rig.until(lambda: len(rig.of(Decision)) > decided, 130, "the decision")
-        assert (rig.of(Decision)[decided].irradiances.coverage < 0.9) is renewed
+        await rig.until(lambda: len(rig.records_of(Decision)) > decided, 130, "the decision")
+        assert (rig.records_of(Decision)[decided].irradiances.coverage < 0.9) is renewed
         assert rig.mode is Mode.TRACKING
 
     run_rig(scenario)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.records import Mode
-from daemon.tracker.modes import Data, Situation, next_mode
+from daemon.tracker.modes import DataState, Situation, next_mode
 
 GOOD = Situation(
     connected=True,
@@ -19,7 +19,7 @@ GOOD = Situation(
     snow_why=None,
     hold_why=None,
     night_why=None,
-    data=Data.FRESH,
+    data=DataState.FRESH,
     data_why="fresh",
 )
 EVERY = list(Mode)
@@ -30,7 +30,7 @@ EVERY = list(Mode)
     ("change", "expected"),
     [
         ({}, Mode.TRACKING),
-        ({"data": Data.BAD}, Mode.FALLBACK),
+        ({"data": DataState.BAD}, Mode.FALLBACK),
         ({"night_why": "dark"}, Mode.NIGHT),
         ({"maintenance_why": "greasing", "blocked_why": "lost", "connected": False, "stop_why": "x"}, Mode.MAINTENANCE),
         ({"buttons_why": "pressed", "stow_why": "wind", "homing": True}, Mode.HOLD),
@@ -52,7 +52,7 @@ def test_unless_readings_are_awaited_the_situation_alone_decides_the_next_mode(m
 
 @pytest.mark.parametrize("mode", EVERY)
 def test_while_readings_are_awaited_tracking_and_fallback_go_on_and_every_other_mode_ends(mode):
-    after, _ = next_mode(mode, replace(GOOD, data=Data.WAITING))
+    after, _ = next_mode(mode, replace(GOOD, data=DataState.WAITING))
     assert after is (mode if mode in (Mode.TRACKING, Mode.FALLBACK) else Mode.STARTING)
 
 

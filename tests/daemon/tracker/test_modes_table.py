@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.records import Mode
-from daemon.tracker.modes import Data, Situation, next_mode
+from daemon.tracker.modes import DataState, Situation, next_mode
 from tests.support import DOCS
 
 MOVING = {Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.STOW, Mode.SNOW}
@@ -54,7 +54,7 @@ def test_the_table_of_modes_covers_every_field_of_a_situation_and_reaches_every_
         ("a hold is somebody's", lambda s, m: m is not Mode.HOLD or bool(s.stop_why or s.buttons_why or s.hold_why)),
         (
             "without good readings no law but the sun's steers",
-            lambda s, m: s.data is not Data.BAD or m is not Mode.TRACKING,
+            lambda s, m: s.data is not DataState.BAD or m is not Mode.TRACKING,
         ),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
@@ -69,7 +69,7 @@ def test_the_mode_before_affects_the_next_mode_only_while_readings_are_awaited(e
         afters.setdefault(situation, set()).add(after)
     for situation, found in afters.items():
         if len(found) > 1:
-            assert situation.data is Data.WAITING
+            assert situation.data is DataState.WAITING
             assert found == {Mode.STARTING, Mode.TRACKING, Mode.FALLBACK}
 
 

@@ -11,7 +11,7 @@ from solar.ephemeris import sun_direction
 from solar.frames import normal_from_angles, separation_deg
 from tests.daemon.tracker.days import pass_quietly
 from tests.support.api import serve
-from tests.support.rig import SITE, HandWeather
+from tests.support.rig import SITE, ManualWeather
 
 __all__ = ["serve"]
 
@@ -50,10 +50,10 @@ def test_the_law_optimal_follows_the_sun_in_a_clear_sky_with_few_moves(run_rig):
     rig = run_rig(half_an_hour, law=OPTIMAL, **SELDOM)
     assert off_sun_deg(rig) < 5.0
     assert rig.mode is Mode.TRACKING
-    moves = rig.of(Move)
+    moves = rig.records_of(Move)
     assert 2 <= len(moves) <= 8
     assert all(move.outcome is MoveOutcome.ARRIVED for move in moves)
-    decisions = rig.of(Decision)
+    decisions = rig.records_of(Decision)
     times = [decision.time_monotonic_s for decision in decisions]
     assert np.diff(times) == pytest.approx(60.0, abs=0.2)
     estimate = decisions[-1].estimate
@@ -63,7 +63,7 @@ def test_the_law_optimal_follows_the_sun_in_a_clear_sky_with_few_moves(run_rig):
 
 
 def test_the_law_optimal_lays_the_tracker_flat_under_an_overcast_sky(run_rig):
-    rig = run_rig(half_an_hour, law=OPTIMAL, weather=HandWeather(dni=0, dhi=150), **SELDOM)
+    rig = run_rig(half_an_hour, law=OPTIMAL, weather=ManualWeather(dni=0, dhi=150), **SELDOM)
     assert rig.truth().b_deg == pytest.approx(90, abs=2.0)
     assert rig.truth().a_deg == pytest.approx(0, abs=2.0)
 
@@ -71,9 +71,9 @@ def test_the_law_optimal_lays_the_tracker_flat_under_an_overcast_sky(run_rig):
 @pytest.mark.parametrize("face", range(4))
 def test_the_law_optimal_goes_on_tracking_with_one_face_broken(run_rig, face):
     rig = run_rig(without(face), law=OPTIMAL, **SELDOM)
-    assert rig.of(Scan)[-1].faces[face].quality is not Quality.OK
+    assert rig.records_of(Scan)[-1].faces[face].quality is not Quality.OK
     assert rig.mode is Mode.TRACKING
-    assert rig.of(Decision)[-1].law == "optimal"
+    assert rig.records_of(Decision)[-1].law == "optimal"
     assert off_sun_deg(rig) < 6.0
 
 
@@ -91,7 +91,7 @@ def test_the_law_optimal_does_not_take_a_dead_zenith_face_for_night(run_rig):
 def test_with_two_faces_broken_the_tracker_follows_the_sun_by_the_clock_in_fallback(run_rig):
     rig = run_rig(without(0, 3), law=OPTIMAL, **SELDOM)
     assert rig.mode is Mode.FALLBACK
-    assert rig.of(Decision)[-1].law == "chronometric"
+    assert rig.records_of(Decision)[-1].law == "chronometric"
     assert off_sun_deg(rig) < 2.0
 
 
@@ -99,10 +99,10 @@ def test_with_two_faces_broken_the_tracker_follows_the_sun_by_the_clock_in_fallb
 def test_the_other_laws_go_on_tracking_with_one_face_broken_too(run_rig, law):
     rig = run_rig(without(0), law={"driver": law}, **SELDOM)
     assert rig.mode is Mode.TRACKING
-    assert rig.of(Decision)[-1].law == law
+    assert rig.records_of(Decision)[-1].law == law
 
 
-class Blinking(HandWeather):
+class Blinking(ManualWeather):
     """Sun and cloud in turn, ten minutes each."""
 
     def at(self, utc_s):
@@ -114,7 +114,8 @@ class Blinking(HandWeather):
 
 def ordered_deg(rig):
     return sum(
-        abs(move.target_a_deg - move.from_a_deg) + abs(move.target_b_deg - move.from_b_deg) for move in rig.of(Move)
+        abs(move.target_a_deg - move.from_a_deg) + abs(move.target_b_deg - move.from_b_deg)
+        for move in rig.records_of(Move)
     )
 
 
@@ -128,7 +129,7 @@ def test_the_law_optimal_stays_within_its_budget_of_the_day_and_a_restart_opens_
     second = run_rig(half_an_hour, law=law, weather=Blinking(), store=store, start="2022-10-12T11:00", **SELDOM)
     used = {
         "travel_per_day_deg": ordered_deg(first) + ordered_deg(second),
-        "moves_per_day": len(first.of(Move)) + len(second.of(Move)),
+        "moves_per_day": len(first.records_of(Move)) + len(second.records_of(Move)),
     }[key]
     # The positioner's telemetry tells tenths of a degree.
     assert 0 < used <= limit + (0.0 if key == "moves_per_day" else 1.0)
@@ -136,7 +137,7 @@ def test_the_law_optimal_stays_within_its_budget_of_the_day_and_a_restart_opens_
 
 def test_the_moves_per_day_of_the_law_optimal_also_limit_the_moves_in_fallback(run_rig):
     rig = run_rig(without(0, 3), law=OPTIMAL | {"moves_per_day": 2}, **SELDOM)
-    assert len(rig.of(Move)) == 2
+    assert len(rig.records_of(Move)) == 2
 
 
 async def until_tomorrow(rig):
@@ -145,7 +146,7 @@ async def until_tomorrow(rig):
     await asyncio.sleep(600)
 
 
-class ClearDays(HandWeather):
+class ClearDays(ManualWeather):
     def at(self, utc_s):
         conditions = super().at(utc_s)
         up = sun_direction(utc_s, *SITE)[:, 2].clip(0)
@@ -196,9 +197,9 @@ def test_the_law_optimal_makes_no_move_after_a_clock_step(run_rig):
     async def scenario(rig):
         await asyncio.sleep(600)
         rig.clock.step_s = 7200.0
-        before = len(rig.of(Move))
+        before = len(rig.records_of(Move))
         await asyncio.sleep(600)
-        assert len(rig.of(Move)) == before
-        assert "clock was set" in rig.of(Decision)[-1].target.why
+        assert len(rig.records_of(Move)) == before
+        assert "clock was set" in rig.records_of(Decision)[-1].target.why
 
     run_rig(scenario, law=OPTIMAL, **SELDOM)

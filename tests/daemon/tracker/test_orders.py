@@ -22,7 +22,7 @@ def refused(*wishes):
     found = []
     for command in COMMANDS:
         try:
-            orders.refuse(command)
+            orders.refuse_if_stopped(command)
         except RefusedError:
             found.append(command)
     return tuple(found)
@@ -37,7 +37,7 @@ def test_a_refusal_says_how_the_tracker_is_released():
     orders = Orders(SystemClock(), WishFile(StateFolder(None)))
     orders.latch("stop", "ladder", "Ann")
     with pytest.raises(RefusedError, match=r"no goto: the tracker is stopped .*only 'heliocube auto' releases it"):
-        orders.refuse("goto")
+        orders.refuse_if_stopped("goto")
 
 
 def test_a_person_at_the_buttons_forbids_every_command_but_maintenance():

@@ -33,16 +33,16 @@ def test_all_trackers_decide_soon_after_the_first_scan_and_then_one_after_the_ot
     async def scenario(rig):
         trackers = rig.service.trackers
         await rig.until(lambda: all(one.control.mode is Mode.TRACKING for one in trackers), 60, "tracking")
-        begun = rig.of(Decision)
+        begun = rig.records_of(Decision)
         assert {decision.tracker for decision in begun} == {"t0", "t1", "t2", "t3"}
         assert max(each.time_monotonic_s for each in begun) - min(each.time_monotonic_s for each in begun) <= 3.0
         # The first turn comes after half to one and a half intervals.
-        await rig.until(lambda: len(rig.of(Decision)) >= 16, 1700, "three decisions more of each")
+        await rig.until(lambda: len(rig.records_of(Decision)) >= 16, 1700, "three decisions more of each")
         for place in range(4):
-            own = [each for each in rig.of(Decision) if each.tracker == f"t{place}"]
+            own = [each for each in rig.records_of(Decision) if each.tracker == f"t{place}"]
             for decision in own[1:4]:
                 assert decision.time_monotonic_s % 300.0 == pytest.approx(75.0 * place, abs=0.1)
 
-        assert all(one.control.foresee() is not None for one in trackers)
+        assert all(one.control.preview_decision() is not None for one in trackers)
 
     run_rig(scenario, tracker=FOUR, law={"driver": "mu-prime"}, rest_look_s=5.0)

@@ -166,10 +166,11 @@ def test_a_law_receives_scans_days_moves_and_relearn_and_its_learned_values_are_
     assert reading.faces_w_m2 == pytest.approx((100.0, np.nan, 100.0, 100.0), nan_ok=True)
     assert not points.law.affords(3.0)
     assert LawFile(StateFolder(tmp_path)).load() is None
-    points.turn(NOON)
+    points.begin_day_if_due(NOON)
     assert LawFile(StateFolder(tmp_path)).load() is None, "no new day"
     for count, (call, told) in enumerate(
-        ((points.turn, ("turn", NOON + 1.0)), (points.book, ("book", 3.0)), (points.relearn, ("relearn",))), 4
+        ((points.begin_day_if_due, ("turn", NOON + 1.0)), (points.book, ("book", 3.0)), (points.relearn, ("relearn",))),
+        4,
     ):
         call(*told[1:])
         assert law.told[-1] == told
@@ -215,7 +216,7 @@ def answering(monkeypatch, **answers):
 ])  # fmt: skip
 def test_a_law_with_an_invalid_answer_counts_as_failed_and_the_fallback_law_points(monkeypatch, answer, words):
     points = answering(monkeypatch, aim=answer)
-    said = pointing.ask(points.chosen, None, pointing.Whereabouts(None, None), NOON, sun_known=True)
+    said = pointing.ask_law(points.chosen, None, pointing.PoseAndTarget(None, None), NOON, sun_known=True)
     assert (said.target.a_deg, said.target.b_deg) == (0.0, 90.0)
     assert re.search(rf"the law noting has failed \({words}", points.failed_why)
 
@@ -223,7 +224,7 @@ def test_a_law_with_an_invalid_answer_counts_as_failed_and_the_fallback_law_poin
 def test_an_answer_of_a_law_in_numpy_numbers_is_converted_to_floats_and_cut_to_the_limits(monkeypatch):
     beyond = Angles(np.float32(300.0), np.float32(60.5))
     points = answering(monkeypatch, aim={"target": beyond, "azimuth_deg": np.float32(180.0), "albedo": np.array(0.25)})
-    said = pointing.ask(points.chosen, None, pointing.Whereabouts(None, None), NOON, sun_known=True)
+    said = pointing.ask_law(points.chosen, None, pointing.PoseAndTarget(None, None), NOON, sun_known=True)
     assert (said.target.a_deg, said.target.b_deg) == (Limits().a_max_deg, 60.5)
     numbers = (said.target.a_deg, said.target.b_deg, said.aim.azimuth_deg, said.aim.albedo)
     assert [type(number) for number in numbers] == [float] * 4

@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import FaceReading, Quality, Scan
 from daemon.config.settings import Settings
-from daemon.tracker.modes import Data
+from daemon.tracker.modes import DataState
 from daemon.tracker.readings import Readings
 from solar.ephemeris import Site
 from solar.frames import Limits
@@ -102,7 +102,7 @@ def test_it_is_not_night_while_the_zenith_face_is_bright_with_the_sun_below_the_
 def test_a_dark_zenith_face_under_a_high_sun_makes_the_readings_bad_and_is_not_night():
     rig = Rig()
     data, why, night = rig.minutes(2.0)
-    assert (data, night) == (Data.BAD, None)
+    assert (data, night) == (DataState.BAD, None)
     assert "in daylight" in why
 
 
@@ -118,17 +118,17 @@ def test_a_dark_zenith_face_beside_a_sunlit_one_is_not_night_and_bad_data_if_the
     rig = Rig()
     rig.sun_deg = 3.0
     data, why, night = rig.minutes(0.0, south=400.0)
-    assert (data, night) == (Data.BAD, None)
+    assert (data, night) == (DataState.BAD, None)
     assert "in daylight" in why
     rig = Rig(Believing(believes=False))
     rig.sun_deg = 3.0
-    assert rig.minutes(0.0, south=400.0)[::2] == (Data.FRESH, None)
+    assert rig.minutes(0.0, south=400.0)[::2] == (DataState.FRESH, None)
 
 
 @pytest.mark.parametrize("believes", [False, True])
 def test_a_law_decides_whether_to_believe_a_dark_zenith_face_only_while_the_sun_is_up(believes):
     rig = Rig(Believing(believes))
-    assert rig.minutes(2.0)[0] is (Data.BAD if believes else Data.FRESH)
+    assert rig.minutes(2.0)[0] is (DataState.BAD if believes else DataState.FRESH)
     rig.sun_deg = -1.0
     assert "zenith face reads 2.0" in rig.minutes(2.0)[2], "below the horizon dark is dark"
 
@@ -152,7 +152,7 @@ def test_beside_a_sunlit_face_the_zenith_face_is_believed_from_half_of_its_expec
 def test_a_bad_east_face_does_not_hide_that_the_south_face_is_sunlit():
     rig = Rig(Believing(believes=True))
     rig.sun_deg = 5.0
-    assert rig.minutes(4.0, south=600.0, bad=("east",))[0] is Data.BAD
+    assert rig.minutes(4.0, south=600.0, bad=("east",))[0] is DataState.BAD
 
 
 def test_a_law_that_needs_only_one_face_has_night_by_the_zenith_face_alone():
@@ -165,7 +165,7 @@ def test_a_law_that_needs_only_one_face_has_night_by_the_zenith_face_alone():
 def test_without_the_zenith_face_the_suns_elevation_decides_on_night_for_a_law_that_needs_three(believes):
     rig = Rig(Believing(believes))
     rig.sun_deg = 2.0
-    assert rig.minutes(9.0, bad=("zenith",))[::2] == (Data.FRESH, None)
+    assert rig.minutes(9.0, bad=("zenith",))[::2] == (DataState.FRESH, None)
     rig.sun_deg = -1.0
     assert "the sun stands at -1.0 deg" in rig.minutes(9.0, bad=("zenith",))[2]
 
@@ -174,19 +174,19 @@ def test_without_the_zenith_face_and_with_the_clock_in_doubt_the_readings_are_ba
     rig = Rig(Believing(believes=False))
     rig.minutes(9.0, bad=("zenith",))
     data, why, _ = rig.judge(sun_known=False)
-    assert (data, why) == (Data.BAD, "neither the zenith face nor the clock shows whether it is day or night")
+    assert (data, why) == (DataState.BAD, "neither the zenith face nor the clock shows whether it is day or night")
 
 
 def test_a_dark_zenith_face_that_the_law_does_not_believe_is_not_night_while_the_sun_is_up():
     rig = Rig(Believing(believes=False))
     rig.sun_deg = 0.5
-    assert rig.minutes(2.0)[::2] == (Data.FRESH, None)
+    assert rig.minutes(2.0)[::2] == (DataState.FRESH, None)
 
 
 def test_with_the_clock_in_doubt_a_dark_zenith_face_makes_readings_bad_even_if_it_is_not_believed():
     rig = Rig(Believing(believes=False))
     rig.minutes(2.0)
-    assert rig.judge(sun_known=False)[0] is Data.BAD
+    assert rig.judge(sun_known=False)[0] is DataState.BAD
 
 
 def test_the_readings_are_bad_if_all_four_faces_are_never_good_in_the_same_scan():
@@ -195,11 +195,11 @@ def test_the_readings_are_bad_if_all_four_faces_are_never_good_in_the_same_scan(
         rig.scan(100.0, bad=("east",))
         rig.scan(100.0, bad=("west",))
     assert rig.readings.mean(rig.now).coverage > 0.9
-    assert rig.judge()[0] is Data.BAD
+    assert rig.judge()[0] is DataState.BAD
 
 
 def test_a_scan_with_one_bad_face_is_good_enough_only_for_a_law_that_needs_three_faces():
-    for law, expected in ((FOUR_FACES, Data.WAITING), (Believing(believes=True), Data.FRESH)):
+    for law, expected in ((FOUR_FACES, DataState.WAITING), (Believing(believes=True), DataState.FRESH)):
         rig = Rig(law)
         rig.minutes(100.0)
         for _ in range(4):
@@ -221,13 +221,13 @@ def test_without_new_scans_the_mean_ends_and_the_readings_are_awaited_and_later_
     rig = Rig()
     rig.minutes(100.0)
     rig.clock.now += 15
-    assert rig.judge()[0] is Data.FRESH
+    assert rig.judge()[0] is DataState.FRESH
     rig.clock.now += 1
     assert rig.readings.mean(rig.now) is None
-    assert rig.judge()[0] is Data.WAITING
+    assert rig.judge()[0] is DataState.WAITING
     rig.clock.now += 60
     data, why, _ = rig.judge()
-    assert data is Data.BAD
+    assert data is DataState.BAD
     assert "no good scan for 76 s" in why
 
 
@@ -250,7 +250,7 @@ def test_with_the_clock_in_doubt_the_suns_elevation_begins_no_night_and_only_lig
 def test_the_reason_why_no_scan_is_good_names_the_faces_that_are_bad():
     rig = Rig()
     rig.clock.now += 61
-    assert rig.judge()[:2] == (Data.BAD, "no good scan for 61 s"), "no scan at all has no face"
+    assert rig.judge()[:2] == (DataState.BAD, "no good scan for 61 s"), "no scan at all has no face"
     for _ in range(13):
         rig.scan(100.0, bad=("east", "zenith"))
     assert rig.judge()[1] == "no good scan for 126 s (east late, zenith late)"

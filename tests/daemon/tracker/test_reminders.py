@@ -12,7 +12,7 @@ from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Mode
 from daemon.base.state import StateFolder
 from daemon.config.sections import SiteSettings
-from daemon.tracker.modes import Data
+from daemon.tracker.modes import DataState
 from daemon.tracker.reminders import Reminders
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes
 
@@ -50,7 +50,7 @@ class Desk:
         return {alarm.name: alarm.text for alarm in self._alarms.active}
 
     def watched(self, mode=Mode.TRACKING, *, sun_known=True):
-        data = {Mode.FALLBACK: Data.BAD, Mode.TRACKING: Data.FRESH}.get(mode, Data.WAITING)
+        data = {Mode.FALLBACK: DataState.BAD, Mode.TRACKING: DataState.FRESH}.get(mode, DataState.WAITING)
         situation = SimpleNamespace(data=data, data_why="no good scan", night_why=None)
         self.reminders.watch(self.motion, mode, situation, sun_known=sun_known)
         return {alarm.name: alarm.text for alarm in self._alarms.active}

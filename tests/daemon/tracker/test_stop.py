@@ -14,7 +14,7 @@ from drivers.errors import DeviceError, RefusedError
 from tests.daemon.tracker.days import pass_quietly
 from tests.support import DOCS
 from tests.support.motion import commands_sent
-from tests.support.phases import at_rest, tracking, under_way
+from tests.support.phases import wait_for_move, wait_for_rest, wait_for_tracking
 
 OTHERS = ("stow", "snow", "hold", "goto", "home", "clear", "relearn", "maintenance")
 
@@ -33,7 +33,7 @@ def alarms(rig):
 
 
 def reminders(rig):
-    return [event for event in rig.of(Event) if event.text.startswith("still in maintenance by ana@lab")]
+    return [event for event in rig.records_of(Event) if event.text.startswith("still in maintenance by ana@lab")]
 
 
 def press_a_button(rig):
@@ -51,9 +51,9 @@ def press_a_button(rig):
 @pytest.mark.parametrize("name", OTHERS)
 def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends(run_rig, name):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         await operator(rig).stop("a hand near the actuator", "ana@lab")
-        stands, before = rig.truth(), len(rig.of(Move))
+        stands, before = rig.truth(), len(rig.records_of(Move))
         with pytest.raises(CommandError) as refused:
             await call(rig, name)
         assert not refused.value.wrong
@@ -62,7 +62,7 @@ def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends
         # Two decisions of the law would have been due.
         await asyncio.sleep(700)
         assert rig.truth() == stands
-        assert len(rig.of(Move)) == before
+        assert len(rig.records_of(Move)) == before
         assert rig.control.wishes.stow is rig.control.wishes.hold is rig.control.wishes.snow is None
         answer = await call(rig, "auto")
         assert "; released: stopped by ana@lab since " in answer.text
@@ -73,8 +73,8 @@ def test_under_a_stop_every_command_is_refused_with_who_when_why_and_how_it_ends
 
 def test_under_a_stop_commands_given_directly_to_control_or_motion_are_refused_too(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         await rig.control.stop("repair")
         control = rig.control
         for ask in (
@@ -94,8 +94,8 @@ def test_under_a_stop_commands_given_directly_to_control_or_motion_are_refused_t
 
 def test_a_power_cycled_unit_makes_no_reference_run_under_a_stop_and_makes_one_after_auto(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         await operator(rig).stop("supply off and on", "ana")
         rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
         await rig.until_mode(Mode.HOLD, 15)
@@ -112,8 +112,8 @@ def test_a_second_stop_is_sent_and_noted_beside_the_first_until_both_are_release
     whose = r"stopped by ana since \S+ \S+ UTC: repair; also by bob since \S+ \S+ UTC: a noise"
 
     async def first(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         await operator(rig).stop("repair", "ana")
         sent = commands_sent(rig, monkeypatch)
         desk = operator(rig)
@@ -124,7 +124,7 @@ def test_a_second_stop_is_sent_and_noted_beside_the_first_until_both_are_release
         # So soon after another stop that the packet is not sent again.
         both = await asyncio.gather(desk.stop("a noise", "bob"), desk.stop("me too", "eve"))
         assert [each.done for each in both] == [True, True]
-        told = [event.text for event in rig.of(Event) if event.subject == "operator"]
+        told = [event.text for event in rig.records_of(Event) if event.subject == "operator"]
         assert told == ["stop: repair (ana)", *["stop: a noise (bob)"] * 2, "stop: me too (eve)"]
 
     async def second(rig):
@@ -142,8 +142,8 @@ def test_a_second_stop_is_sent_and_noted_beside_the_first_until_both_are_release
 
 def test_strong_wind_in_maintenance_raises_no_alarm_as_the_page_on_security_says(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         await operator(rig).maintenance("repair", "ana")
         rig.wind_m_s = 20.0
         await asyncio.sleep(60)
@@ -157,8 +157,8 @@ def test_strong_wind_in_maintenance_raises_no_alarm_as_the_page_on_security_says
 
 def test_strong_wind_under_a_stop_raises_an_alarm_that_ends_with_the_stop(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         await operator(rig).stop("repair", "ana")
         stands = rig.truth()
         rig.wind_m_s = 20.0
@@ -173,7 +173,7 @@ def test_strong_wind_under_a_stop_raises_an_alarm_that_ends_with_the_stop(run_ri
         await operator(rig).auto("clear of the axes")
         assert rig.mode is Mode.STOW
         assert not alarms(rig)
-        told = [event.text for event in rig.of(Event) if event.subject == "alarm"]
+        told = [event.text for event in rig.records_of(Event) if event.subject == "alarm"]
         assert len(told) == 2
 
     run_rig(scenario)
@@ -181,7 +181,7 @@ def test_strong_wind_under_a_stop_raises_an_alarm_that_ends_with_the_stop(run_ri
 
 def test_a_stop_survives_a_restart_with_the_person_the_time_and_the_reason(run_rig, tmp_path):
     async def first(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await operator(rig).stop("repair", "ana@lab")
 
     async def second(rig):
@@ -202,14 +202,14 @@ def test_a_stop_and_a_hold_in_a_file_of_an_earlier_version_are_in_force(run_rig,
         await asyncio.sleep(300)
         assert (rig.mode, rig.control.why) == (Mode.HOLD, "stopped: repair")
         assert rig.control.wishes.hold.why == "test"
-        assert not rig.of(Move)
+        assert not rig.records_of(Move)
 
     run_rig(scenario, store={"directory": tmp_path})
 
 
 def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig, tmp_path):
     async def first(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.cables.positioner.link_up = False
         with pytest.raises(DeviceError):
             await rig.control.stop("a hand", "ana")
@@ -218,7 +218,7 @@ def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig
         await asyncio.sleep(900)
         assert rig.mode is Mode.HOLD
         assert re.fullmatch(r"stopped by ana since \S+ 10:0\d:\d\d UTC: a hand", rig.control.why)
-        assert not rig.of(Move)
+        assert not rig.records_of(Move)
 
     for scenario, start in ((first, "10:00"), (second, "13:00")):
         run_rig(scenario, start=f"2022-10-12T{start}", store={"directory": tmp_path})
@@ -226,7 +226,7 @@ def test_a_stop_that_cannot_be_sent_is_kept_and_in_force_after_a_restart(run_rig
 
 def test_a_stop_of_an_unplugged_positioner_is_named_beside_the_fault_and_in_force_when_it_returns(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.cables.positioner.link_up = False
         await rig.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="stop could not be sent"):
@@ -247,7 +247,7 @@ def test_a_stop_of_an_unplugged_positioner_is_named_beside_the_fault_and_in_forc
 
 def test_a_stop_that_the_unit_does_not_receive_is_not_reported_as_done(run_rig, monkeypatch):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         feed = rig.unit.feed
         monkeypatch.setattr(rig.unit, "feed", lambda data, now: None if data.startswith(b"$9s") else feed(data, now))
         answer = await operator(rig).stop("a hand")
@@ -258,8 +258,8 @@ def test_a_stop_that_the_unit_does_not_receive_is_not_reported_as_done(run_rig, 
 
 def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         await asyncio.sleep(11)
         assert (await operator(rig).hold("test")).done
         rig.positioner.read_telemetry = lambda: asyncio.sleep(3600)
@@ -278,12 +278,12 @@ def test_a_hold_is_done_only_when_telemetry_from_after_it_shows_standstill(run_r
 
 def test_a_button_pressed_at_the_unit_holds_the_tracker_until_a_person_gives_auto(run_rig, tmp_path):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         let_go = press_a_button(rig)
         await rig.until_mode(Mode.HOLD, 2)
         assert "a button was pressed at the unit: a person is there" in rig.control.why
         assert WishFile(StateFolder(tmp_path)).load().buttons is not None, "a restart does not forget it"
-        await at_rest(rig)
+        await wait_for_rest(rig)
         stands = rig.truth()
         let_go()
         with pytest.raises(CommandError, match=r"no goto: the tracker is held since .*a person is there; only"):
@@ -301,8 +301,8 @@ def test_a_button_pressed_at_the_unit_holds_the_tracker_until_a_person_gives_aut
 
 def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         press_a_button(rig)
         await rig.until_mode(Mode.HOLD, 11)
         stands = rig.truth()
@@ -318,8 +318,8 @@ def test_auto_while_the_button_is_still_pressed_holds_again(run_rig):
 
 def test_a_button_press_that_was_seen_before_auto_does_not_hold_the_tracker_again(run_rig):
     async def scenario(rig):
-        await tracking(rig)
-        await at_rest(rig)
+        await wait_for_tracking(rig)
+        await wait_for_rest(rig)
         read, pressed_s = rig.positioner.read_telemetry, rig.clock.monotonic()
 
         async def with_an_old_screen():
@@ -339,7 +339,7 @@ def test_a_button_press_that_was_seen_before_auto_does_not_hold_the_tracker_agai
 
 def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_after_a_day(run_rig, tmp_path):
     async def first(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         answer = await operator(rig).maintenance("greasing", "ana@lab")
         assert answer.done
         assert rig.mode is Mode.MAINTENANCE
@@ -373,7 +373,7 @@ def test_in_maintenance_nothing_moves_no_alarm_sounds_and_a_reminder_comes_after
 
 def test_maintenance_of_an_unplugged_positioner_is_in_force_and_its_reason_names_both(run_rig):
     async def scenario(rig):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         rig.cables.positioner.link_up = False
         await rig.until_mode(Mode.FAULT, 15)
         with pytest.raises(CommandError, match="maintenance is noted, but stop could not be sent"):

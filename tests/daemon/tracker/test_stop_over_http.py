@@ -10,7 +10,7 @@ from daemon.service.operator import CommandError
 from daemon.tracker.wishes import Wishes
 from tests.daemon.tracker.test_stop import OTHERS, call
 from tests.support.api import serve
-from tests.support.phases import tracking, under_way
+from tests.support.phases import wait_for_move, wait_for_tracking
 
 __all__ = ["serve"]
 
@@ -36,7 +36,7 @@ def test_goto_in_mode_starting_is_refused_with_a_remedy_that_works(serve):
 
 def test_the_state_shows_stop_and_hold_apart_with_who_gave_them_and_since_when(serve):
     async def scenario(rig, call_http):
-        await under_way(rig)
+        await wait_for_move(rig)
         await call_http.post("hold", b'{"why": "measuring", "by": "bob"}')
         await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
         found = (await call_http.get("/api/state")).json
@@ -66,7 +66,7 @@ def test_the_state_shows_stop_and_hold_apart_with_who_gave_them_and_since_when(s
 @pytest.mark.parametrize("name", OTHERS)
 def test_over_http_a_command_refused_under_a_stop_gets_409_and_the_same_sentence_as_elsewhere(serve, name):
     async def scenario(rig, call_http):
-        await tracking(rig)
+        await wait_for_tracking(rig)
         await call_http.post("stop", b'{"why": "repair", "by": "ana"}')
         body = {"a_deg": 10, "b_deg": 60} if name == "goto" else {}
         reply = await call_http.post(name, json.dumps(body).encode())

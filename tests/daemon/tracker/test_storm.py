@@ -7,13 +7,13 @@ import pytest
 from daemon.base.records import Decision, Event, Mode, Move
 from daemon.service.state import state_json
 from tests.daemon.tracker.days import operator
-from tests.support.motion import drive_b, show
-from tests.support.phases import at_rest, homed, quiet
-from tests.support.rig import HandWeather
+from tests.support.motion import override_telemetry, send_foreign_b_target
+from tests.support.phases import wait_for_homing, wait_for_long_rest, wait_for_rest
+from tests.support.rig import ManualWeather
 
 
 def wind_of(rig):
-    return state_json(rig.see())["wind"]
+    return state_json(rig.take_snapshot())["wind"]
 
 
 def test_a_gust_of_two_seconds_between_two_ticks_of_the_control_stows_the_tracker(run_rig):
@@ -53,7 +53,7 @@ def test_a_service_that_was_killed_in_a_storm_comes_back_stowing(run_rig, tmp_pa
         rig.wind_m_s = 3.0
         await asyncio.sleep(890)
         assert rig.mode is Mode.STOW
-        assert not rig.of(Decision)
+        assert not rig.records_of(Decision)
         await rig.until_mode(Mode.TRACKING, 60)
 
     run_rig(storm, store={"directory": tmp_path})
@@ -78,13 +78,13 @@ def test_the_tracker_does_not_go_to_the_night_position_before_the_first_wind_mes
         await asyncio.sleep(120)
         assert rig.mode is Mode.STARTING
         assert rig.control.why == "waiting for the first message of wind"
-        assert not rig.of(Move)
+        assert not rig.records_of(Move)
         rig.wind_m_s = 3.0
         await rig.until_mode(Mode.NIGHT, 10)
         await asyncio.sleep(240)
-        assert [(move.target_a_deg, move.target_b_deg) for move in rig.of(Move)] == [(0.0, 40.0)]
+        assert [(move.target_a_deg, move.target_b_deg) for move in rig.records_of(Move)] == [(0.0, 40.0)]
 
-    run_rig(scenario, start="2022-10-12T01:00", weather=HandWeather(dni=0, dhi=0), safety={"night_b_deg": 40.0})
+    run_rig(scenario, start="2022-10-12T01:00", weather=ManualWeather(dni=0, dhi=0), safety={"night_b_deg": 40.0})
 
 
 def test_no_automatic_reference_run_is_made_before_the_first_wind_message(run_rig):
@@ -96,7 +96,7 @@ def test_no_automatic_reference_run_is_made_before_the_first_wind_message(run_ri
         assert rig.mode is Mode.FAULT
         assert not rig.motion.homing
         rig.wind_m_s = 3.0
-        await homed(rig)
+        await wait_for_homing(rig)
 
     run_rig(scenario, motion={"rehome": "automatic"})
 
@@ -113,8 +113,8 @@ def test_a_wind_sensor_that_is_silent_from_the_start_stows_the_tracker_after_the
 
 def test_a_stow_begins_after_auto_as_soon_as_telemetry_shows_that_the_button_was_let_go(run_rig):
     async def scenario(rig):
-        await quiet(rig)
-        show(rig, button_pressed=True, status_monotonic_s=rig.clock.monotonic())
+        await wait_for_long_rest(rig)
+        override_telemetry(rig, button_pressed=True, status_monotonic_s=rig.clock.monotonic())
         await rig.until(lambda: rig.control.wishes.buttons is not None, 5, "the hold")
         rig.wind_m_s = 20.0
         await asyncio.sleep(1.5)
@@ -122,7 +122,7 @@ def test_a_stow_begins_after_auto_as_soon_as_telemetry_shows_that_the_button_was
         rig.control.auto()
         await rig.until_mode(Mode.STOW, 1)
         assert rig.motion.target is None
-        show(rig, button_pressed=False)
+        override_telemetry(rig, button_pressed=False)
         await rig.until(lambda: rig.motion.target is not None, 3, "the stow")
 
     run_rig(scenario)
@@ -130,14 +130,14 @@ def test_a_stow_begins_after_auto_as_soon_as_telemetry_shows_that_the_button_was
 
 def test_maintenance_in_a_storm_and_the_auto_that_ends_it_raise_and_clear_no_alarm(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.wind_m_s = 20.0
         await rig.until_mode(Mode.STOW, 10)
         await operator(rig).maintenance("bearings", "ana")
         await asyncio.sleep(30)
         await operator(rig).auto("done")
         assert rig.mode is Mode.STOW
-        assert not [event.text for event in rig.of(Event) if event.subject == "alarm"]
+        assert not [event.text for event in rig.records_of(Event) if event.subject == "alarm"]
 
     run_rig(scenario)
 
@@ -149,18 +149,18 @@ def stow_missed(rig):
 @pytest.mark.parametrize("later", ["an axis is turned", "the pose is in doubt"])
 def test_a_stop_at_the_stow_position_in_a_storm_raises_no_alarm_until_it_is_turned_or_in_doubt(run_rig, later):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.wind_m_s = 20.0
         await rig.until_mode(Mode.STOW, 6)
         await rig.until(lambda: rig.motion.moving, 5, "the stow")
-        await at_rest(rig)
+        await wait_for_rest(rig)
         await operator(rig).stop("a look at the module", "ana")
         await asyncio.sleep(60)
         assert not stow_missed(rig)
         assert "; stow is wanted and the tracker stands there (wind 20.0 m/s" in rig.control.why
         if later == "an axis is turned":
             # As another program would.
-            drive_b(rig, 60)
+            send_foreign_b_target(rig, 60)
         else:
             rig.unit.power_cycle(rig.clock.monotonic(), keep_position=True)
         await rig.until(lambda: stow_missed(rig), 15, "the alarm")
@@ -171,7 +171,7 @@ def test_a_stop_at_the_stow_position_in_a_storm_raises_no_alarm_until_it_is_turn
 
 def test_a_stop_on_the_way_to_stow_raises_an_alarm_even_within_5_degrees_of_the_position(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.wind_m_s = 20.0
         safety = rig.control._settings.safety
         await rig.until(lambda: rig.motion.target is not None and rig.mode is Mode.STOW, 10, "the stow")
@@ -193,10 +193,10 @@ def test_a_stop_on_the_way_to_stow_raises_an_alarm_even_within_5_degrees_of_the_
 
 def test_a_stop_at_the_stow_position_raises_an_alarm_once_the_positioner_is_unplugged(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.wind_m_s = 20.0
         await rig.until(lambda: rig.motion.target is not None and rig.mode is Mode.STOW, 10, "the stow")
-        await at_rest(rig)
+        await wait_for_rest(rig)
         await operator(rig).stop("a look at the module", "ana")
         await asyncio.sleep(6)
         assert not stow_missed(rig)
@@ -208,7 +208,7 @@ def test_a_stop_at_the_stow_position_raises_an_alarm_once_the_positioner_is_unpl
 
 def test_a_stop_that_auto_releases_while_it_is_being_sent_does_not_prevent_the_wind_stow(run_rig):
     async def scenario(rig):
-        await quiet(rig)
+        await wait_for_long_rest(rig)
         rig.wind_m_s = 25.0
         await rig.until_mode(Mode.STOW, 6)
         await rig.until(lambda: rig.motion.moving, 5, "the stow")
@@ -246,13 +246,13 @@ def test_after_the_machine_has_slept_no_decision_is_made_before_a_new_wind_messa
         # The steady clock stands still while a machine sleeps, and the network may come back later than the machine.
         rig.wind_m_s, rig.clock.slept_s, rig.synchronised = None, SLEPT_S, True
         await asyncio.sleep(10)
-        decided = len(rig.of(Decision))
+        decided = len(rig.records_of(Decision))
         await asyncio.sleep(700)
         assert rig.mode is mode
         assert rig.control.why == "waiting for wind to be heard: the machine has slept"
-        assert len(rig.of(Decision)) == decided
+        assert len(rig.records_of(Decision)) == decided
         rig.wind_m_s = 3.0
-        await rig.until(lambda: len(rig.of(Decision)) > decided, 10, "the decision")
+        await rig.until(lambda: len(rig.records_of(Decision)) > decided, 10, "the decision")
 
     run_rig(scenario, safety={"wind_stale_s": 1200})
 
@@ -283,6 +283,6 @@ def test_after_a_sleep_of_the_machine_at_night_tracking_by_day_awaits_a_new_wind
         assert rig.mode is Mode.STARTING
         rig.wind_m_s = 3.0
         await rig.until_mode(Mode.TRACKING, 10)
-        await rig.until(lambda: rig.of(Decision), 10, "the decision")
+        await rig.until(lambda: rig.records_of(Decision), 10, "the decision")
 
-    run_rig(scenario, start="2022-10-12T01:58", weather=HandWeather(dni=0, dhi=0))
+    run_rig(scenario, start="2022-10-12T01:58", weather=ManualWeather(dni=0, dhi=0))

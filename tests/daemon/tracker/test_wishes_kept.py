@@ -6,7 +6,7 @@ import json
 import pytest
 
 from daemon.base.records import Mode, ModeChange, Move
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 
 
 @pytest.mark.parametrize(
@@ -37,8 +37,8 @@ def test_a_hold_stop_stow_or_goto_survives_a_restart_without_a_move_until_auto_r
         await asyncio.sleep(900)
         assert rig.mode is mode
         assert rig.control.why.endswith(why)
-        assert rig.of(ModeChange)[-1].why == rig.control.why
-        assert not rig.of(Move), "it stood flat, which is where it is stowed, and nothing else was wanted"
+        assert rig.records_of(ModeChange)[-1].why == rig.control.why
+        assert not rig.records_of(Move), "it stood flat, which is where it is stowed, and nothing else was wanted"
         rig.control.auto()
         await rig.until_mode(Mode.TRACKING, 30)
 
@@ -52,7 +52,7 @@ def test_a_hold_stop_stow_or_goto_survives_a_restart_without_a_move_until_auto_r
 @pytest.mark.parametrize("name", ["stop", "maintenance"])
 def test_a_stop_or_maintenance_is_in_the_file_while_it_is_still_being_sent_over_a_slow_link(run_rig, tmp_path, name):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.cables.positioner.write_s = 0.9
         asking = asyncio.create_task(getattr(rig.control, name)("a hand near the actuator"))
         await asyncio.sleep(0.01)
@@ -72,7 +72,7 @@ def test_a_garbled_operator_file_keeps_the_tracker_stopped(run_rig, tmp_path):
         await asyncio.sleep(600)
         assert rig.mode is Mode.HOLD
         assert "cannot be read" in rig.control.why
-        assert not rig.of(Move)
+        assert not rig.records_of(Move)
 
     run_rig(scenario, store={"directory": tmp_path})
 

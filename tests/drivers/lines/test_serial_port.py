@@ -15,7 +15,7 @@ import serial
 
 from drivers.errors import ConnectError, LinkLostError
 from drivers.lines import serial_port
-from drivers.lines.serial_port import SerialPort, cannot_open
+from drivers.lines.serial_port import SerialPort, port_open_error
 from tests.support import PATIENCE_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no pseudo-terminals")
@@ -137,24 +137,24 @@ def test_the_port_is_set_to_the_requested_speed_parity_and_stop_bits(ends, form,
 def test_an_echo_that_another_program_switches_on_is_detected(ends, flag):
     _, path = ends
     with opened(path) as port:
-        assert not port.echoes()
-        assert not port.has_lines(), "a pseudo-terminal has none"
+        assert not port.has_echo()
+        assert not port.has_modem_lines(), "a pseudo-terminal has none"
         descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY)
         settings = termios.tcgetattr(descriptor)
         settings[3] |= flag
         termios.tcsetattr(descriptor, termios.TCSANOW, settings)
         os.close(descriptor)
-        assert port.echoes()
+        assert port.has_echo()
 
 
 def test_a_port_that_is_gone_is_a_lost_link(ends):
     instrument, path = ends
     with opened(path) as port:
         os.close(instrument)
-        for call in (port.read, lambda: port.write(b"x"), port.echoes):
+        for call in (port.read, lambda: port.write(b"x"), port.has_echo):
             with pytest.raises(LinkLostError):
                 call()
-        assert not port.has_lines()
+        assert not port.has_modem_lines()
 
 
 def test_a_write_that_waits_for_room_ends_when_the_port_is_closed(ends, monkeypatch):
@@ -224,4 +224,4 @@ def test_a_plain_file_or_a_missing_port_is_refused_with_the_reason(tmp_path):
 ])  # fmt: skip
 def test_each_error_on_opening_a_port_is_reported_with_its_cause_or_remedy(error, words):
     with pytest.raises(ConnectError, match=words):
-        raise cannot_open("positioner", "/dev/ttyS99", error)
+        raise port_open_error("positioner", "/dev/ttyS99", error)

@@ -88,19 +88,19 @@ def test_unrequested_data_is_discarded_and_reported():
         async with await asyncio.start_server(say, "127.0.0.1", 0) as server:
             line = SocketLine("cube", *server.sockets[0].getsockname())
             await line.open()
-            assert not await line.has_unasked()
+            assert not await line.discard_unsolicited()
             said.put_nowait(b"+1.0E-01\n+2.0E-01\n")
             assert await line.receive(PATIENCE_S) == "+1.0E-01"
-            assert await line.has_unasked()
-            assert not await line.has_unasked()
+            assert await line.discard_unsolicited()
+            assert not await line.discard_unsolicited()
             said.put_nowait(b"+3.0E-01\n\r")
             assert await line.receive(PATIENCE_S) == "+3.0E-01"
-            assert not await line.has_unasked(), "the end of a line says nothing"
+            assert not await line.discard_unsolicited(), "the end of a line says nothing"
             said.put_nowait(None)
             with pytest.raises(LinkLostError, match="has closed the connection"):
                 await line.receive(PATIENCE_S)
             with pytest.raises(LinkLostError, match="has closed the connection"):
-                await line.has_unasked()
+                await line.discard_unsolicited()
             await line.close()
 
     asyncio.run(act())
@@ -109,7 +109,7 @@ def test_unrequested_data_is_discarded_and_reported():
 def test_every_call_on_a_line_that_is_not_open_is_a_lost_link():
     async def act():
         line = SocketLine("cube", "127.0.0.1", 9)
-        for call in (line.send("*IDN?"), line.receive(1.0), line.drain(0.1), line.has_unasked()):
+        for call in (line.send("*IDN?"), line.receive(1.0), line.drain(0.1), line.discard_unsolicited()):
             with pytest.raises(LinkLostError, match="has to be opened first"):
                 await call
 

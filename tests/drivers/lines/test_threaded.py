@@ -37,7 +37,7 @@ class EchoingLine:
     def drain(self, quiet_s):
         self._log.append(f"drained {quiet_s:g}")
 
-    def has_unasked(self):
+    def discard_unsolicited(self):
         return bool(self._said)
 
     def close(self):
@@ -61,9 +61,9 @@ def test_exchanges_run_in_order_and_errors_of_the_blocking_line_reach_the_caller
             await line.send("too early")
         await line.open()
         assert await asyncio.gather(*(line.ask(text, 1.0) for text in ("one", "two"))) == ["ONE", "TWO"]
-        assert not await line.has_unasked()
+        assert not await line.discard_unsolicited()
         await line.send("three")
-        assert await line.has_unasked()
+        assert await line.discard_unsolicited()
         await line.interrupt()
         await line.drain(0.1)
         with pytest.raises(DeadlineError, match=r"nothing in 0\.5 s"):

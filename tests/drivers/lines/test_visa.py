@@ -54,14 +54,14 @@ def modes(path):
 def test_unrequested_data_is_discarded_and_reported(ends):
     instrument, path = ends
     with opened(path) as line:
-        assert not line.has_unasked()
+        assert not line.discard_unsolicited()
         os.write(instrument, b"+1.0E-01\n+2.0E-01\n")
         assert line.receive(PATIENCE_S) == "+1.0E-01"
-        assert line.has_unasked()
-        assert not line.has_unasked()
+        assert line.discard_unsolicited()
+        assert not line.discard_unsolicited()
         os.write(instrument, b"+3.0E-01\n\r")
         assert line.receive(PATIENCE_S) == "+3.0E-01"
-        assert not line.has_unasked(), "the end of a line says nothing"
+        assert not line.discard_unsolicited(), "the end of a line says nothing"
 
 
 @pytest.mark.parametrize(("terminator", "end"), [("LF", b"\n"), ("CR", b"\r"), ("LFCR", b"\n\r")])

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from daemon.base.timeloop import VirtualTimeLoop
-from drivers.errors import RefusedError, UnreachedError
+from drivers.errors import RefusedError, UnavailableError
 from drivers.modbus.client import ModbusBus
 from drivers.modbus.pdu import read_registers, write_register
 
@@ -41,11 +41,11 @@ READ = read_registers(7, 3, 0, 1)
         ("83 02", RefusedError, "address 7 has no such register"),
         ("83 04", RefusedError, "address 7 "),
         # A device that has no time now.
-        ("83 05", UnreachedError, "address 7 needs longer"),
-        ("83 06", UnreachedError, "address 7 is busy"),
+        ("83 05", UnavailableError, "address 7 needs longer"),
+        ("83 06", UnavailableError, "address 7 is busy"),
         # A gateway without a way to the device, and one whose device keeps silent.
-        ("83 0A", UnreachedError, "address 7 "),
-        ("83 0B", UnreachedError, "address 7 "),
+        ("83 0A", UnavailableError, "address 7 "),
+        ("83 0B", UnavailableError, "address 7 "),
     ],
 )
 def test_exceptions_of_busy_or_unreachable_devices_mean_unreached_and_others_mean_refused(reply, error, words):

@@ -7,7 +7,7 @@ from pydantic import TypeAdapter
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError
 from drivers.modbus.framing import TcpServer
-from drivers.modbus.paths import Endpoint, ModbusLine, SerialPath, TcpPath, endpoint
+from drivers.modbus.paths import Endpoint, ModbusLine, SerialTransport, TcpTransport, endpoint
 from drivers.modbus.pdu import read_registers
 from tests.support import PATIENCE_S
 
@@ -75,7 +75,7 @@ def exchange_with(*answers):
             device, failed = Device(*answers), []
             asyncio.get_running_loop().set_exception_handler(lambda _loop, context: failed.append(context))
             server = await asyncio.start_server(device.serve, "127.0.0.1", 0)
-            path = TcpPath("cube", Endpoint("tcp", "127.0.0.1", server.sockets[0].getsockname()[1]))
+            path = TcpTransport("cube", Endpoint("tcp", "127.0.0.1", server.sockets[0].getsockname()[1]))
             async with server:
                 await path.open(PATIENCE_S)
                 try:
@@ -139,7 +139,7 @@ def test_a_closed_path_has_to_be_opened_first():
 
 
 def test_a_serial_line_has_to_be_opened_first():
-    path = SerialPath("cube", "/dev/none", 19200, "8E1", lambda: 0.0)
+    path = SerialTransport("cube", "/dev/none", 19200, "8E1", lambda: 0.0)
     with pytest.raises(LinkLostError, match="cube: has to be opened first"):
         asyncio.run(path.exchange(READ, PATIENCE_S))
 
@@ -151,6 +151,6 @@ def test_a_refused_connection_is_reported_with_its_port_and_the_reason():
         server.close()
         await server.wait_closed()
         with pytest.raises(ConnectError, match=rf"port {port} takes no connection \(Connection refused\); is it on"):
-            await TcpPath("cube", Endpoint("tcp", "127.0.0.1", port)).open(PATIENCE_S)
+            await TcpTransport("cube", Endpoint("tcp", "127.0.0.1", port)).open(PATIENCE_S)
 
     asyncio.run(refused())

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.modbus.pdu import belongs, exception_text, number, words_for, words_of
+from drivers.modbus.pdu import decode_number, encode_number, exception_text, register_count, reply_matches
 
 
 @pytest.mark.parametrize(("kind", "value", "words"), [
@@ -22,15 +22,15 @@ from drivers.modbus.pdu import belongs, exception_text, number, words_for, words
     ("float32", 1.5, (0x3FC0, 0)),
 ])  # fmt: skip
 def test_a_number_is_encoded_or_clamped_to_the_nearest_value_of_its_register_type(kind, value, words):
-    assert words_for(value, kind) == words
-    assert words_for(value, kind, "low-first") == tuple(reversed(words))
-    assert words_for(number(words, kind), kind) == words
-    assert words_for(number(words[::-1], kind, "low-first"), kind) == words
+    assert encode_number(value, kind) == words
+    assert encode_number(value, kind, "low-first") == tuple(reversed(words))
+    assert encode_number(decode_number(words, kind), kind) == words
+    assert encode_number(decode_number(words[::-1], kind, "low-first"), kind) == words
 
 
 @pytest.mark.parametrize("words", [(0x7FC0, 0), (0x7F80, 0), (0xFF80, 0)])
 def test_nan_and_infinity_in_float_registers_are_read_as_nan(words):
-    assert math.isnan(number(words, "float32"))
+    assert math.isnan(decode_number(words, "float32"))
 
 
 @pytest.mark.parametrize(("request_", "reply", "its_own"), [
@@ -55,7 +55,7 @@ def test_nan_and_infinity_in_float_registers_are_read_as_nan(words):
     ("2B 0E 01 00", "2B 0E 01 00", False),
 ])  # fmt: skip
 def test_a_reply_is_matched_to_its_question_by_function_length_and_echoed_fields(request_, reply, its_own):
-    assert belongs(bytes.fromhex(request_), bytes.fromhex(reply)) == its_own
+    assert reply_matches(bytes.fromhex(request_), bytes.fromhex(reply)) == its_own
 
 
 @pytest.mark.parametrize(("reply", "text"), [
@@ -76,4 +76,4 @@ def test_a_modbus_exception_is_described_in_words(reply, text):
 
 def test_a_number_takes_one_register_if_it_has_16_bits_and_two_if_it_has_32():
     kinds = ("int16", "uint16", "int32", "uint32", "float32")
-    assert [words_of(kind) for kind in kinds] == [1, 1, 2, 2, 2]
+    assert [register_count(kind) for kind in kinds] == [1, 1, 2, 2, 2]

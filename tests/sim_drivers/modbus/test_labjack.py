@@ -2,11 +2,11 @@
 
 import pytest
 
-from drivers.modbus.pdu import number, words_for
+from drivers.modbus.pdu import decode_number, encode_number
 from drivers.modbus.server import RefusedRequestError
 from sim_drivers.modbus.labjack import SimulatedLabjack
 
-HALF_VOLT, OVER_SETTLING, NO_NUMBER = (words_for(value, "float32") for value in (0.5, 50001.0, float("nan")))
+HALF_VOLT, OVER_SETTLING, NO_NUMBER = (encode_number(value, "float32") for value in (0.5, 50001.0, float("nan")))
 
 
 def device(product=7):
@@ -21,11 +21,11 @@ def device(product=7):
         (7, 41500, (13,)),
         (8, 41500, (17,)),
         (7, 40000, HALF_VOLT),
-        (7, 40000, words_for(1.2, "float32")),
-        (8, 40000, words_for(1.0, "float32")),
+        (7, 40000, encode_number(1.2, "float32")),
+        (8, 40000, encode_number(1.0, "float32")),
         (7, 42000, OVER_SETTLING),
         (7, 42000, NO_NUMBER),
-        (7, 42000, words_for(-1.0, "float32")),
+        (7, 42000, encode_number(-1.0, "float32")),
         (7, 40000, (0,)),
         (7, 40001, (0, 0)),
         (8, 41008, (199,)),
@@ -54,15 +54,15 @@ def test_reading_part_of_a_value_or_beyond_the_inputs_is_refused(register, count
 
 def test_an_input_read_against_ground_includes_the_voltage_drop_of_the_ground_resistor():
     labjack = device()
-    against_ground_v = number(labjack.read(3, 4, 2), "float32")
+    against_ground_v = decode_number(labjack.read(3, 4, 2), "float32")
     labjack.write(16, 41002, (3,))
-    assert against_ground_v - number(labjack.read(3, 4, 2), "float32") == pytest.approx(0.002, abs=10 / 2**15)
+    assert against_ground_v - decode_number(labjack.read(3, 4, 2), "float32") == pytest.approx(0.002, abs=10 / 2**15)
 
 
 def test_a_power_cycle_resets_range_and_resolution_of_the_labjack():
     labjack = device()
-    labjack.write(16, 40000, words_for(0.1, "float32"))
+    labjack.write(16, 40000, encode_number(0.1, "float32"))
     labjack.write(16, 41500, (8,))
     labjack.power_cycle(0.0)
-    assert number(labjack.read(3, 40000, 2), "float32") == 10.0
+    assert decode_number(labjack.read(3, 40000, 2), "float32") == 10.0
     assert labjack.read(3, 41500, 1) == (0,)

@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.modbus.framing import RtuClient, TcpClient, TcpServer
-from drivers.modbus.pdu import READ_INPUT, read_registers
+from drivers.modbus.pdu import READ_INPUT_REGISTERS, read_registers
 from sim_drivers.modbus.line import DeviceLineCore
 from sim_drivers.modbus.pyranometers import SimulatedSmp
 
@@ -14,7 +14,7 @@ REPLY_S = 0.005
 def answers_after(pause_s, client, server=None):
     """Return how many replies the other sensor gives to a question that comes so long after the first."""
     line = DeviceLineCore([SimulatedSmp(unit, unit, lambda _now_s: 300.0) for unit in (1, 2)], server)
-    frames = [client.begin(read_registers(unit, READ_INPUT, 0, 7)) for unit in (1, 2)]
+    frames = [client.begin(read_registers(unit, READ_INPUT_REGISTERS, 0, 7)) for unit in (1, 2)]
     assert len(line.feed(frames[0], 10.0)) == 1
     return len(line.feed(frames[1], 10.0 + pause_s))
 

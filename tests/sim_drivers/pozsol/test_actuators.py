@@ -36,6 +36,6 @@ def test_a_holder_and_a_zero_offset_change_the_position_that_belongs_to_an_angle
 
 
 def test_an_actuator_on_the_other_side_lowers_the_angle_by_extension():
-    lowers = Actuator(300.0, 300.0, 60.0, 40.0, -30.0, raises=False)
+    lowers = Actuator(300.0, 300.0, 60.0, 40.0, -30.0, extension_raises_angle=False)
     assert lowers.position_mm(10.0) > lowers.position_mm(30.0) > 0
     assert lowers.angle_deg(lowers.position_mm(10.0)) == pytest.approx(10.0)

@@ -32,7 +32,7 @@ def test_the_screens_identify_the_unit_and_print_the_documented_decimals():
 
 
 def test_geometry_is_printed_as_the_firmware_understands_it():
-    lowers = Actuator(300.0, 280.0, 60.0, 40.0, -30.0, holder_mm=39.6, raises=False, zero_offset_mm=1.5)
+    lowers = Actuator(300.0, 280.0, 60.0, 40.0, -30.0, holder_mm=39.6, extension_raises_angle=False, zero_offset_mm=1.5)
     text = fields(PositionerCore(setup=Setup(b_actuator=lowers, start=Angles(0.0, 0.0))), 0.0)
     assert [text[code] for code in range(70, 81)] == (
         [b"195.3", b"300.0", b"300.0", b"0.0", b"0.0", b"1.0", b"-90.0", b"0.0", b"75.0", b"376", b"2"]

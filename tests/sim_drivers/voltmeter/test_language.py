@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_drivers.scpi import messages, spellings
+from sim_drivers.scpi import spellings, split_commands
 from tests.sim_drivers.voltmeter.exchange import ask, errors, idle, meter
 
 
@@ -42,7 +42,7 @@ def test_the_path_is_kept_after_a_semicolon_and_left_with_a_colon():
 
 
 def test_semicolons_and_commas_inside_quotes_do_not_split_a_command():
-    found, error = messages(":A 'x;y,z',2;B?")
+    found, error = split_commands(":A 'x;y,z',2;B?")
     assert [tuple(message) for message in found] == [("A", False, ("'x;y,z'", "2")), ("B", True, ())]
     assert error == 0
 

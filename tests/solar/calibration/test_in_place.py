@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel
 from sim_drivers.weather import GeneratedWeather
 from sim_drivers.weather_files import load_weather
-from solar.calibration.anchor import clear_sky_anchor
+from solar.calibration.anchor import fit_clear_sky_response
 from solar.calibration.attitude import Attitude, attitude, face_orientations, rotation, to_site
 from solar.calibration.in_place import UndeterminedError, _unsure, calibrate_in_place, jackknife_error
-from solar.calibration.level import Level, Tie
+from solar.calibration.level import KnownResponse, LevelReference
 from solar.ephemeris import DAY_S, Site, sun_direction, sun_position
 from solar.frames import azimuth_from_direction
 from tests.support.clear_sky import ClearSky
@@ -162,7 +162,7 @@ def test_if_the_days_agree_the_stated_errors_are_those_of_the_clear_sky_level():
     shape, errors = found.shape, found.errors
     global_w_m2 = shape.beam_w_m2 * sun_direction(shape.utc_s, *SIRTA)[:, 2] + shape.uniform_w_m2
     over_zenith = np.exp(np.mean(np.log(found.response[:3] / found.response[3])))
-    level = clear_sky_anchor(shape.utc_s, global_w_m2, over_zenith * shape.beam_w_m2, SIRTA)
+    level = fit_clear_sky_response(shape.utc_s, global_w_m2, over_zenith * shape.beam_w_m2, SIRTA)
     of_level = found.response * ([level.vertical_error] * 3 + [level.zenith_error])
     np.testing.assert_allclose(errors.response, of_level, rtol=0.03)
     # A vertical face sees (1 + albedo)/2 of a uniform light: so the albedo's error follows that of the ratio.
@@ -241,8 +241,9 @@ def ghi_of(utc_s):
 def known(**faces):
     """Return a level at which the named faces have their true responses, each with the error given."""
     names = ("east", "south", "west", "zenith")
-    return Level(tuple(
-        Tie(gain, faces[name]) if name in faces else None for name, gain in zip(names, GAINS.tolist(), strict=True)
+    return LevelReference(tuple(
+        KnownResponse(gain, faces[name]) if name in faces else None
+        for name, gain in zip(names, GAINS.tolist(), strict=True)
     ))  # fmt: skip
 
 
@@ -257,7 +258,7 @@ def known(**faces):
     ids=["zenith", "south", "zenith and east", "GHI"],
 )
 def test_a_known_level_of_the_gains_is_reproduced_with_no_smaller_error_than_it_was_given(level, surest):
-    level = level or Level(ghi_w_m2=ghi_of(clear(SIRTA)[0]), ghi_error=0.0025)
+    level = level or LevelReference(ghi_w_m2=ghi_of(clear(SIRTA)[0]), ghi_error=0.0025)
     found, before = calibrate_in_place(*clear(SIRTA), SIRTA, level=level), calibrated(SIRTA)
     errors = found.errors.response / found.response
     np.testing.assert_allclose(found.response[surest], GAINS[surest], rtol=0.004)
@@ -272,7 +273,9 @@ def test_a_known_level_of_the_gains_is_reproduced_with_no_smaller_error_than_it_
 def test_two_references_of_the_level_are_weighted_by_their_errors():
     wrong = GAINS[3] * 1.01
     ghi = ghi_of(clear(SIRTA)[0])
-    between = calibrate_in_place(*clear(SIRTA), SIRTA, level=Level((None, None, None, Tie(wrong, 0.002)), ghi, 0.004))
+    between = calibrate_in_place(
+        *clear(SIRTA), SIRTA, level=LevelReference((None, None, None, KnownResponse(wrong, 0.002)), ghi, 0.004)
+    )
     # The references weigh 4 and 1.
     assert between.response[3] == pytest.approx(GAINS[3] * 1.008, rel=0.002)
 
@@ -292,7 +295,7 @@ def test_two_references_of_the_level_are_weighted_by_their_errors():
 def test_a_ghi_that_does_not_fit_the_zenith_face_is_refused_with_the_reason(change, words):
     utc_s, faces = clear(SIRTA)
     with pytest.raises(UndeterminedError, match=words):
-        calibrate_in_place(utc_s, faces, SIRTA, level=Level(ghi_w_m2=change(utc_s), ghi_error=0.005))
+        calibrate_in_place(utc_s, faces, SIRTA, level=LevelReference(ghi_w_m2=change(utc_s), ghi_error=0.005))
 
 
 def test_clouds_over_the_ghi_instrument_alone_and_its_gaps_do_not_spoil_the_zenith_gain():
@@ -300,5 +303,5 @@ def test_clouds_over_the_ghi_instrument_alone_and_its_gaps_do_not_spoil_the_zeni
     ghi = ghi_of(utc_s)
     ghi[::9] = np.nan
     ghi[30:42] *= 0.4
-    found = calibrate_in_place(utc_s, faces, SIRTA, level=Level(ghi_w_m2=ghi, ghi_error=0.0025))
+    found = calibrate_in_place(utc_s, faces, SIRTA, level=LevelReference(ghi_w_m2=ghi, ghi_error=0.0025))
     assert found.response[3] == pytest.approx(GAINS[3], rel=0.004)

@@ -7,11 +7,11 @@ this folder.
 import numpy as np
 import pytest
 
-from solar.calibration.anchor import clear_sky_anchor
+from solar.calibration.anchor import fit_clear_sky_response
 from solar.calibration.attitude import Attitude, face_normals
-from solar.calibration.level import Tie
+from solar.calibration.level import KnownResponse
 from solar.calibration.selection import clear_sky_ghi
-from solar.calibration.shape import fit_shape
+from solar.calibration.shape import fit_relative_calibration
 from solar.ephemeris import Site, extraterrestrial_dni, sun_direction
 from solar.skies.sky import sky
 
@@ -80,7 +80,7 @@ def faces_of(model, standing=STANDING):
     ],
 )
 def test_the_fit_of_the_shape_under_clear_sky_has_the_pinned_values(model, kept, numbers):
-    found = fit_shape(UTC_S, faces_of(model), SITE, model=model, vertical=1.02)
+    found = fit_relative_calibration(UTC_S, faces_of(model), SITE, model=model, vertical=1.02)
     assert found.utc_s.size == found.beam_w_m2.size == kept
     got = [*found.response, *found.attitude, found.albedo, found.horizon, found.residual]
     got += [found.beam_w_m2.mean(), found.uniform_w_m2.mean(), found.dhi_w_m2.mean()]
@@ -93,9 +93,11 @@ def test_the_clear_sky_anchor_has_the_pinned_values():
     overhead = sky("perez1990", sun_direction(UTC_S, *SITE), dni, dhi, extraterrestrial_dni(UTC_S))
     zenith = 0.98 * ghi * rng.normal(1.0, 0.005, ghi.size)
     beam = 1.02 * (overhead.dni_w_m2 + overhead.circumsolar_w_m2) * rng.normal(1.0, 0.01, ghi.size)
-    found = clear_sky_anchor(UTC_S, zenith, beam, SITE)
+    found = fit_clear_sky_response(UTC_S, zenith, beam, SITE)
     assert list(found) == pytest.approx([0.967865, 1.00425, 0.0196703, 0.0227566, 0.0218973], rel=2e-4)
-    tied = clear_sky_anchor(UTC_S, zenith, beam, SITE, zenith=Tie(0.98, 0.004), vertical=Tie(1.01, 0.008))
+    tied = fit_clear_sky_response(
+        UTC_S, zenith, beam, SITE, zenith=KnownResponse(0.98, 0.004), vertical=KnownResponse(1.01, 0.008)
+    )
     assert list(tied) == pytest.approx([0.979509, 1.01013, 0.00394998, 0.0074689, 0.00831133], rel=2e-4)
 
 
@@ -110,5 +112,5 @@ def test_the_clear_sky_anchor_has_the_pinned_values():
     ],
 )
 def test_the_fitted_attitude_of_an_implausibly_turned_cube_ends_at_its_bound(standing, which, bound_deg):
-    found = fit_shape(UTC_S, faces_of("haydavies", standing), SITE, model="haydavies", vertical=1.02)
+    found = fit_relative_calibration(UTC_S, faces_of("haydavies", standing), SITE, model="haydavies", vertical=1.02)
     assert found.attitude[which] == pytest.approx(bound_deg, abs=0.01)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from solar.energy import build_sky, faces_under, lay_out
+from solar.energy import arrange_daylight, build_sky, face_irradiances
 from solar.ephemeris import Site
-from solar.faces.jumps import jumps
+from solar.faces.jumps import find_jumps
 
 SITE = Site(55.79064, 12.52505, 50.0)
 JUNE_UTC_S = 1655283600.0  # 2022-06-15 09:00
@@ -17,8 +17,8 @@ ALL = [True] * 4
 def half_hour(at_utc_s, passing, model="perez1990"):
     """Return faces with a sensor's noise under a beam that clouds weaken to a tenth, and the sun's directions."""
     beam_w_m2 = 700.0 * np.where(passing, 0.1, 1.0)
-    weather = lay_out(at_utc_s + 60.0 * MINUTES, beam_w_m2, np.full(30, 100.0), SITE, 60.0)
-    faces = faces_under(build_sky(weather, model), 0.2)
+    weather = arrange_daylight(at_utc_s + 60.0 * MINUTES, beam_w_m2, np.full(30, 100.0), SITE, 60.0)
+    faces = face_irradiances(build_sky(weather, model), 0.2)
     return faces + np.random.default_rng(1).normal(0.0, 0.3, faces.shape), weather.sun
 
 
@@ -26,7 +26,7 @@ def half_hour(at_utc_s, passing, model="perez1990"):
 @pytest.mark.parametrize("at_utc_s", [JUNE_UTC_S, DECEMBER_UTC_S])
 def test_a_cloud_of_one_minute_is_not_taken_for_a_jump_of_a_face(at_utc_s, model):
     faces, sun = half_hour(at_utc_s, MINUTES % 10 == 5, model)
-    found = jumps(faces)
+    found = find_jumps(faces)
     assert not found.sure.any()
     assert not found.repeated(sun, ALL).any()
 
@@ -48,7 +48,7 @@ def test_jumps_are_found_by_the_median_of_five_minutes_even_with_missing_reading
         faces = 300.0 + random.normal(0.0, size, (random.integers(5, 31), 4))
         faces[random.random(faces.shape) < 0.1] += random.choice([-200.0, 100.0, 1000.0])
         faces[random.random(faces.shape) < missing] = np.nan
-        for found, expected in zip(jumps(faces), by_sorting(faces), strict=True):
+        for found, expected in zip(find_jumps(faces), by_sorting(faces), strict=True):
             np.testing.assert_array_equal(found, expected)
 
 
@@ -62,21 +62,21 @@ def test_a_face_that_jumps_repeatedly_for_a_minute_or_two_is_found_and_its_jumps
     sound = faces.copy()
     jumped = np.isin(MINUTES % 10, [3, 4][:length])
     faces[jumped, face] = at_w_m2
-    found = jumps(faces)
+    found = find_jumps(faces)
     assert np.flatnonzero(found.sure.any(axis=1)).tolist() == np.flatnonzero(jumped).tolist()
     assert found.repeated(sun, ALL).tolist() == [place == face for place in range(4)]
-    assert found.settled == pytest.approx(sound, abs=5.0)
+    assert found.without_jumps == pytest.approx(sound, abs=5.0)
 
 
 def test_one_jump_accuses_no_face_and_neither_does_one_at_the_end_that_may_not_come_back():
     faces, sun = half_hour(JUNE_UTC_S, MINUTES < 0)
     faces[[10, 11, 29], 1] = 0.0
-    assert not jumps(faces).repeated(sun, ALL).any()
+    assert not find_jumps(faces).repeated(sun, ALL).any()
 
 
 def test_beside_a_dead_zenith_face_a_cloud_before_a_low_sun_accuses_no_other_face():
     faces, sun = half_hour(DECEMBER_UTC_S + 3000.0, MINUTES % 10 == 5)
     faces[:, 3] = np.random.default_rng(2).normal(0.0, 0.3, 30)
-    found = jumps(faces)
+    found = find_jumps(faces)
     assert found.sure[:, 1].any(), "the sun reaches neither east nor west"
     assert not found.repeated(sun, ALL).any()

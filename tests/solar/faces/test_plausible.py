@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from solar.ephemeris import sun_direction
-from solar.faces.plausible import Doubt, Response, doubts, lit, lit_at_night, responses
+from solar.faces.plausible import Doubt, Response, doubts, is_lit, lit_at_night, responses
 from solar.skies.sky import sky
 
 SITE = (48.7176, 2.2090, 156.0)
@@ -101,7 +101,7 @@ def towards_south(elevation_deg):
     return np.array([np.cos(np.radians(elevation_deg)), 0.0, np.sin(np.radians(elevation_deg))])
 
 
-OK, DEAD, DARK, SAME, OVER = Doubt.NONE, Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.OVER
+OK, DEAD, DARK, SAME, OVER = Doubt.NONE, Doubt.DEAD, Doubt.DARK, Doubt.SAME, Doubt.TOO_BRIGHT
 DIFFERENT_MV = (1.0, 5.0, 2.0, 7.0)
 
 
@@ -194,7 +194,7 @@ def test_of_several_reasons_to_doubt_a_face_the_gravest_is_reported():
 def test_faces_count_as_lit_from_30_w_m2_on_the_second_brightest_with_the_sun_5_degrees_up(
     faces_w_m2, elevation_deg, expected
 ):
-    assert lit(faces_w_m2, towards_south(elevation_deg)) is expected
+    assert is_lit(faces_w_m2, towards_south(elevation_deg)) is expected
 
 
 @pytest.mark.parametrize(

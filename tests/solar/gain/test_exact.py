@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from solar import gain
-from solar.gain.geometry import declination_deg, energy_ratio, sun_day
+from solar.gain.geometry import declination_deg, energy_ratio, sun_path
 from solar.gain.vertical import half_day_cosine
 
 latitudes = st.floats(-90.0, 90.0)
@@ -49,7 +49,7 @@ def panel(beta, deviation):
 
 def quadrature(phi, n, integrand, points=40_000):
     """Return the integral of `integrand(w)` over the day, in hours, by the midpoint rule."""
-    w0 = float(sun_day(phi, n).w0)
+    w0 = float(sun_path(phi, n).w0)
     step = 2.0 * w0 / points
     w = -w0 + (np.arange(points) + 0.5) * step
     return 12.0 / np.pi * step * integrand(w).sum()
@@ -102,15 +102,15 @@ def test_a_panel_that_the_sun_never_sees_makes_the_ratio_infinite():
 
 def test_at_the_equinox_the_integral_of_the_cosine_is_the_complete_elliptic_integral():
     # I_c = E(cos^2 phi): pi/2 at the poles, 1 on the equator.
-    assert half_day_cosine(sun_day(0.0, EQUINOX)) == pytest.approx(1.0, rel=1e-12)
-    assert half_day_cosine(sun_day(89.999999, EQUINOX)) == pytest.approx(np.pi / 2, rel=1e-9)
+    assert half_day_cosine(sun_path(0.0, EQUINOX)) == pytest.approx(1.0, rel=1e-12)
+    assert half_day_cosine(sun_path(89.999999, EQUINOX)) == pytest.approx(np.pi / 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("phi", [-90.0, -80.0, -66.5, -10.0, 0.0, 23.0, 45.0, 66.6, 70.0, 85.0, 90.0])
 @pytest.mark.parametrize("n", [1, 81, 100, 172, 200, 300])
 def test_the_integral_of_the_cosine_of_the_elevation_is_that_of_quadrature(phi, n):
     expected = quadrature(phi, n, lambda w: np.hypot(*sun_at(phi, n, w)[:2])) / (24.0 / np.pi)
-    assert half_day_cosine(sun_day(phi, n)) == pytest.approx(expected, rel=1e-7, abs=1e-12)
+    assert half_day_cosine(sun_path(phi, n)) == pytest.approx(expected, rel=1e-7, abs=1e-12)
 
 
 @settings(max_examples=60)

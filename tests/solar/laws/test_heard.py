@@ -9,7 +9,7 @@ import pytest
 
 from solar.ephemeris import DAY_S, Site, solar_days, sun_direction
 from solar.frames import Angles, Limits
-from solar.laws.heard import Begun, Heard
+from solar.laws.heard import PartialMean, ReadingHistory
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.memory import LightMemory, OptimalSettings
 from solar.laws.optimal_live import SETTINGS, LiveOptimal
@@ -71,7 +71,7 @@ TODAY = int(solar_days(BEGIN_UTC_S, SITE.longitude_deg))
 
 
 def first_link(scan_every_s=15.0):
-    return Heard(SITE, scan_every_s, TODAY, LightMemory(OptimalSettings()))
+    return ReadingHistory(SITE, scan_every_s, TODAY, LightMemory(OptimalSettings()))
 
 
 def read_at(seconds, faces=(450.0, 450.0, 60.0, 660.0)):
@@ -111,7 +111,7 @@ def test_a_mean_is_complete_after_15_s_with_a_tolerance_of_1_ms(scan_every_s, me
 
 
 def test_a_face_that_was_read_for_less_than_a_second_still_has_a_mean():
-    begun = Begun().with_reading(read_at(0.0, (math.nan, 200.0, math.nan, 400.0)), 0.5)
+    begun = PartialMean().with_reading(read_at(0.0, (math.nan, 200.0, math.nan, 400.0)), 0.5)
     ended = begun.with_reading(read_at(1.0, (100.0, 300.0, math.nan, 500.0)), 0.5).ended()
     assert ended[:2] == (BEGIN_UTC_S + 0.5, 1.0)
     assert ended[2] == pytest.approx([100.0, 250.0, math.nan, 450.0], nan_ok=True)

@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles
-from solar.laws.light import Light, aim_vector, light_from_faces, product, tell_beam, usable_faces, zenith_usable
+from solar.laws.light import (
+    Light,
+    aim_vector,
+    dot_with_normal,
+    is_beam_observable,
+    is_zenith_usable,
+    light_from_faces,
+    usable_faces,
+)
 
 LIMITS = Limits()
 LATITUDE = 50.0
@@ -32,7 +40,7 @@ def test_the_light_found_from_a_hand_worked_morning_is_right():
 
 @given(st.lists(st.floats(-50.0, 2100.0) | st.just(np.nan), min_size=4, max_size=4), direction)
 def test_whether_the_zenith_face_is_usable_does_not_depend_on_the_suns_position(faces, sun):
-    assert zenith_usable(faces) == usable_faces(faces, sun)[3]
+    assert is_zenith_usable(faces) == usable_faces(faces, sun)[3]
 
 
 def test_the_aim_vector_matches_a_calculation_by_hand():
@@ -119,8 +127,10 @@ def test_nan_and_infinite_faces_give_finite_light(faces, sun):
 )
 def test_no_pose_inside_the_limits_beats_the_closed_form(vector, a_deg, b_deg):
     best_a, best_b = angles_within(np.array(vector), LIMITS)
-    assert product(vector, best_a, best_b) >= product(vector, a_deg, b_deg) - 1e-6
-    assert product(vector, a_deg, b_deg) == pytest.approx(np.dot(vector, normal_from_angles(a_deg, b_deg)), abs=1e-6)
+    assert dot_with_normal(vector, best_a, best_b) >= dot_with_normal(vector, a_deg, b_deg) - 1e-6
+    assert dot_with_normal(vector, a_deg, b_deg) == pytest.approx(
+        np.dot(vector, normal_from_angles(a_deg, b_deg)), abs=1e-6
+    )
 
 
 SOUTH = direction_from_azimuth(180.0, 40.0, 50.0)
@@ -180,20 +190,20 @@ def test_a_sunlit_face_that_is_much_darker_than_a_shaded_one_is_not_usable(azimu
 ])  # fmt: skip
 def test_the_beam_of_a_low_sun_can_be_told_only_with_the_face_that_looks_towards_it(azimuth, elevation, missing, told):
     usable = ~np.isin(np.arange(4), missing)
-    assert tell_beam(usable, direction_from_azimuth(azimuth, elevation, LATITUDE)) == told
+    assert is_beam_observable(usable, direction_from_azimuth(azimuth, elevation, LATITUDE)) == told
 
 
 def test_the_product_with_a_pose_equals_that_with_the_normal_of_the_pose():
     random = np.random.default_rng(5)
     vectors, a_deg, b_deg = random.normal(size=(50, 3)), random.uniform(-90, 90, 50), random.uniform(5, 90, 50)
     expected = (vectors * normal_from_angles(a_deg, b_deg)).sum(axis=-1)
-    np.testing.assert_allclose(product(vectors, a_deg, b_deg), expected, atol=1e-12)
+    np.testing.assert_allclose(dot_with_normal(vectors, a_deg, b_deg), expected, atol=1e-12)
 
 
 def test_the_zenith_face_is_judged_by_the_vertical_faces_of_its_own_instant():
     # Beside its own vertical faces the second zenith face is as dark as a dead one; beside the first ones it is not.
     faces = np.array([[5.0, 6.0, 7.0, 4.0], [400.0, 500.0, 450.0, 4.0], [np.nan] * 4])
-    assert zenith_usable(faces).tolist() == [zenith_usable(row).tolist() for row in faces] == [True, False, False]
+    assert is_zenith_usable(faces).tolist() == [is_zenith_usable(row).tolist() for row in faces] == [True, False, False]
 
 
 def test_the_aim_vector_points_slightly_up_even_where_the_ground_gives_more_light_than_the_sky():

@@ -8,7 +8,7 @@ import pytest
 
 from solar.ephemeris import sun_direction
 from solar.frames import Limits, angles_within, direction_from_azimuth, normal_from_angles, separation_deg
-from solar.laws.light import as_far_as_it_pays, product
+from solar.laws.light import dot_with_normal, economical_pose
 from solar.laws.optimal import OptimalLaw, OptimalSettings
 from solar.skies.sky import sky
 
@@ -153,11 +153,11 @@ def test_the_gain_of_a_move_and_its_price_by_length_and_thrift_match_a_calculati
 def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose, price):
     vector = 200.0 * normal_from_angles(*pose)
     here = np.asarray(place)
-    a, b = as_far_as_it_pays(vector, place, angles_within(vector, LIMITS)[0], price, LIMITS)
+    a, b = economical_pose(vector, place, angles_within(vector, LIMITS)[0], price, LIMITS)
     reached = np.array([float(a), float(b)])
 
     def worth(angles):
-        return float(product(vector, *angles)) - price * np.abs(angles - here).sum()
+        return float(dot_with_normal(vector, *angles)) - price * np.abs(angles - here).sum()
 
     # The axes are chosen one after the other, which loses a hundredth of a W/m2.
     grid = [np.array([one, other]) for one in np.arange(-50.0, 50.1, 1.0) for other in np.arange(15.0, 90.1, 1.0)]
@@ -170,15 +170,15 @@ def test_an_axis_goes_as_far_as_its_last_degree_pays_and_no_further(place, pose,
 def test_towards_a_best_pose_beyond_the_limits_each_axis_moves_right_to_its_limit():
     # The slope does not vanish there: nothing is left out before the limit.
     vector = 300.0 * normal_from_angles(-80.0, 5.0)
-    a, b = as_far_as_it_pays(vector, (0.0, 90.0), angles_within(vector, LIMITS)[0], 0.05, LIMITS)
+    a, b = economical_pose(vector, (0.0, 90.0), angles_within(vector, LIMITS)[0], 0.05, LIMITS)
     assert (a, b) == (LIMITS.a_min_deg, LIMITS.b_min_deg)
 
 
 def test_no_axis_moves_at_a_huge_price_per_degree_and_both_move_all_the_way_at_none():
     vector = 200.0 * normal_from_angles(20.0, 40.0)
     best_a, _ = angles_within(vector, LIMITS)
-    assert as_far_as_it_pays(vector, (0.0, 90.0), best_a, 1e12, LIMITS) == (0.0, 90.0)
-    np.testing.assert_allclose(as_far_as_it_pays(vector, (0.0, 90.0), best_a, 0.0, LIMITS), (20.0, 40.0), atol=1e-9)
+    assert economical_pose(vector, (0.0, 90.0), best_a, 1e12, LIMITS) == (0.0, 90.0)
+    np.testing.assert_allclose(economical_pose(vector, (0.0, 90.0), best_a, 0.0, LIMITS), (20.0, 40.0), atol=1e-9)
 
 
 def test_a_budget_used_faster_than_the_daylight_raises_the_price_by_the_sixth_power_of_the_ratio():

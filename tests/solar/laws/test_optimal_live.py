@@ -6,14 +6,14 @@ import re
 import numpy as np
 import pytest
 
-from solar.energy import build_sky, faces_under, lay_out
+from solar.energy import arrange_daylight, build_sky, face_irradiances
 from solar.ephemeris import DAY_S, Site, sun_day, sun_direction, sun_position
 from solar.frames import Angles, Limits, angles_within, azimuth_from_direction
 from solar.laws import optimal_live
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.optimal import OptimalLaw, OptimalSettings
-from solar.laws.site import Learned
-from solar.laws.words import weighed
+from solar.laws.site import LearnedSite
+from solar.laws.words import move_reason
 from solar.skies.sky import sky
 
 SITE = Site(48.7176, 2.2090, 156.0)
@@ -62,7 +62,7 @@ def assert_alike(aim, expected):
     choice, law = expected
     azimuth, elevation = azimuth_from_direction(choice.vector, SITE.latitude_deg)
     assert (aim.azimuth_deg, aim.elevation_deg) == (pytest.approx(float(azimuth)), pytest.approx(float(elevation)))
-    assert aim.why == weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
+    assert aim.why == move_reason(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
     assert (aim.target is not None) == bool(choice.move)
     if aim.target is not None:
         assert aim.target == (pytest.approx(float(choice.a_deg)), pytest.approx(float(choice.b_deg)))
@@ -179,7 +179,7 @@ def test_the_settings_thrift_travel_moves_and_albedo_take_effect_in_the_optimal_
     law.book(10.0)
     plan = OptimalSettings(thrift=3.0, travel_per_day_deg=200.0, moves_per_day=2)
     now = Moment(readings[-1].utc_s, None, Angles(0.0, 90.0))
-    expected = expected_aim(in_means(readings, 3, 15.0), now.utc_s, now.heading, (10.0, 1), plan, Learned(0.4))
+    expected = expected_aim(in_means(readings, 3, 15.0), now.utc_s, now.heading, (10.0, 1), plan, LearnedSite(0.4))
     aim = law.aim(now)
     # The reason has the price in it, which thrift multiplies and the used half of the moves raises.
     assert_alike(aim, expected)
@@ -238,7 +238,7 @@ def test_readings_of_a_days_last_minutes_count_in_what_is_learned_from_that_day(
     other.aim(Moment(NOON + 600.0, None, Angles(0.0, 90.0)))
     assert law.turn(NOON + DAY_S)
     assert other.turn(NOON + DAY_S)
-    assert law.learned != Learned()
+    assert law.learned != LearnedSite()
     assert law.to_dict() == pytest.approx(other.to_dict())
 
 
@@ -258,9 +258,9 @@ def test_relearning_also_discards_means_that_wait_for_a_decision():
     for reading in scans(3 * 30):
         law.observe(reading)
     law.relearn()
-    assert law.learned == Learned(0.25)
+    assert law.learned == LearnedSite(0.25)
     law.turn(NOON + DAY_S)
-    assert law.learned.to_dict() == pytest.approx(Learned(0.25).to_dict())
+    assert law.learned.to_dict() == pytest.approx(LearnedSite(0.25).to_dict())
 
 
 def test_where_the_sun_does_not_set_the_share_of_daylight_left_is_that_of_24_hours():
@@ -276,13 +276,13 @@ def test_where_the_sun_does_not_set_the_share_of_daylight_left_is_that_of_24_hou
         exact = (day.noon_utc_s + DAY_S / 2 - utc_s) / DAY_S
         assert exact == pytest.approx(left, abs=0.01)
         choice = same.choose(0.0, 90.0, sun_direction(utc_s + SETTINGS.lead_s, *site), exact)
-        assert aim.why == weighed(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
+        assert aim.why == move_reason(float(choice.gain_w_m2), float(choice.price_w_m2), moves=bool(choice.move))
 
 
 def test_the_law_decides_once_a_minute_and_shows_learned_values_apart_from_those_of_the_day():
     law = live()
     assert law.decide_every_s == 60.0
-    assert law.shown()["learned"] == Learned().to_dict()
+    assert law.shown()["learned"] == LearnedSite().to_dict()
 
 
 def test_kept_state_of_a_day_without_moves_is_accepted_and_infinite_travel_is_refused():
@@ -307,8 +307,8 @@ def test_without_readings_the_law_aims_at_the_sun_four_minutes_ahead_in_either_h
 def test_the_albedo_known_each_morning_is_that_learned_on_the_clear_days_before():
     # By hand: each clear day of more than an hour moves the albedo a fifth of the way from 0.2 to the ground's.
     utc_s = NOON - DAY_S / 2 + 600.0 * np.arange(3 * 144)
-    weather = lay_out(utc_s, np.full(utc_s.size, 800.0), np.full(utc_s.size, 1e-3), SITE, 600.0)
-    known = optimal_live.learned_by_day(weather, faces_under(build_sky(weather, "isotropic"), 0.5))
+    weather = arrange_daylight(utc_s, np.full(utc_s.size, 800.0), np.full(utc_s.size, 1e-3), SITE, 600.0)
+    known = optimal_live.learned_by_day(weather, face_irradiances(build_sky(weather, "isotropic"), 0.5))
     np.testing.assert_allclose(known.albedo, [0.2, 0.26, 0.308], atol=0.01)
 
 
@@ -319,12 +319,12 @@ def test_estimates_of_beam_and_diffuse_light_are_right_for_each_reading_and_nan_
     faces[2, :2] = math.nan
     sun = np.stack([sun_direction(NOON, *SITE)] * 4)
     sun[3, 2] = -0.1
-    found = law.estimates(faces, sun, Learned(0.2))
+    found = law.estimates(faces, sun, LearnedSite(0.2))
     np.testing.assert_allclose(found.beam_w_m2[:2], 600.0, rtol=0.01)
     np.testing.assert_allclose(found.diffuse_w_m2[:2], 100.0, rtol=0.05)
     assert np.isnan([*found.beam_w_m2[2:], *found.diffuse_w_m2[2:]]).all()
     np.testing.assert_array_equal(found.albedo, 0.2)
-    high = law.estimates(1.05 * faces[:1], sun[:1], Learned(0.2, 1.05, 1.05, 1.05))
+    high = law.estimates(1.05 * faces[:1], sun[:1], LearnedSite(0.2, 1.05, 1.05, 1.05))
     assert float(high.beam_w_m2[0]) == pytest.approx(600.0, rel=0.02)
 
 
@@ -336,8 +336,8 @@ def test_a_zenith_face_that_the_others_contradict_is_not_believed():
 
 def test_the_fast_steering_of_the_benchmark_stays_in_place_until_the_first_reading():
     utc_s = NOON + 60.0 * np.arange(3)
-    weather = lay_out(utc_s, np.full(3, 700.0), np.full(3, 80.0), SITE)
-    faces = faces_under(build_sky(weather, "isotropic"), 0.2)
+    weather = arrange_daylight(utc_s, np.full(3, 700.0), np.full(3, 80.0), SITE)
+    faces = face_irradiances(build_sky(weather, "isotropic"), 0.2)
     next_pose = optimal_live.steer(optimal_live.SETTINGS(), weather, faces, LIMITS)
     a, b = np.zeros(1), np.full(1, 90.0)
     assert next_pose(0, a, b) == (a, b)

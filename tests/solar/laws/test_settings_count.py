@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from solar.energy import lay_out
+from solar.energy import arrange_daylight
 from solar.ephemeris import Site
 from solar.frames import Angles, Limits
 from solar.laws import mu_prime, optimal_live, sun_vector
@@ -28,7 +28,7 @@ def aim(law, faces, **settings):
 
 def stepped(law, faces, **settings):
     utc_s = NOON + 60.0 * np.arange(30)
-    weather = lay_out(utc_s, np.ones(30), np.ones(30), LYNGBY)
+    weather = arrange_daylight(utc_s, np.ones(30), np.ones(30), LYNGBY)
     steer = law.steer(law.SETTINGS(**settings), weather, np.tile(faces, (30, 1)), Limits())
     a, b = np.zeros(1), np.full(1, 90.0)
     for step in range(weather.shape[0]):

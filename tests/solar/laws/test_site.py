@@ -5,7 +5,7 @@ import pytest
 
 from solar.ephemeris import sun_direction
 from solar.laws.light import light_from_faces, usable_faces
-from solar.laws.site import ALBEDO_RANGE, Learned, SiteLearning, no_sums, step
+from solar.laws.site import ALBEDO_RANGE, LearnedSite, SiteLearning, update_learned, zero_sums
 from solar.skies.sky import sky
 
 pytestmark = pytest.mark.slow
@@ -53,15 +53,15 @@ def test_the_albedo_is_learned_slowly_and_stays_within_its_range():
 
 @pytest.mark.parametrize(("log_east", "gains"), [(0.5, (1.07, 0.93, 0.93)), (-0.5, (0.93, 1.07, 1.07))])
 def test_no_sensor_is_believed_to_be_off_by_more_than_seven_percent(log_east, gains):
-    day = no_sums(())._replace(east_s=np.array(3600.0), east=np.array(3600.0 * log_east))
-    learned = Learned()
+    day = zero_sums(())._replace(east_s=np.array(3600.0), east=np.array(3600.0 * log_east))
+    learned = LearnedSite()
     for _ in range(10):
-        learned = step(learned, day)
+        learned = update_learned(learned, day)
     assert (learned.gain_east, learned.gain_south, learned.gain_west) == gains
 
 
 def test_overcast_days_change_neither_the_learned_albedo_nor_the_learned_gains():
-    assert learn(3, 0.7, dni=0.0) == Learned(0.2, 1.0, 1.0, 1.0)
+    assert learn(3, 0.7, dni=0.0) == LearnedSite(0.2, 1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(("missing", "seconds", "learns"), [
@@ -76,7 +76,7 @@ def test_a_day_is_not_learned_from_if_some_but_not_all_faces_are_missing_for_mor
     site.observe(faces, sun, np.ones(4, dtype=bool), np.array(800.0), 3600.0)
     site.observe(unread, sun, ~np.isnan(unread), np.array(800.0), seconds)
     site.end_of_day()
-    assert (site.learned != Learned(0.2, 1.0, 1.0, 1.0)) == learns
+    assert (site.learned != LearnedSite(0.2, 1.0, 1.0, 1.0)) == learns
     before = site.learned
     site.observe(faces, sun, np.ones(4, dtype=bool), np.array(800.0), 3600.0)
     site.end_of_day()
@@ -86,22 +86,22 @@ def test_a_day_is_not_learned_from_if_some_but_not_all_faces_are_missing_for_mor
 def test_a_reset_restores_the_initial_albedo_and_gains():
     site = SiteLearning(learned=learn(2, 0.5))
     site.reset()
-    assert site.learned == Learned()
+    assert site.learned == LearnedSite()
 
 
 def test_faces_of_many_instants_and_trackers_are_divided_by_their_learned_gains():
     gains = np.array([[1.02, 1.0, 0.98], [1.01, 0.99, 1.0], [1.0, 1.05, 0.95]])
-    site = SiteLearning((3,), Learned(0.2, *gains))
+    site = SiteLearning((3,), LearnedSite(0.2, *gains))
     corrected = site.corrected(np.ones((2, 3, 4)))
     np.testing.assert_allclose(corrected, 1.0 / np.broadcast_to([*gains, [1.0] * 3], (2, 4, 3)).transpose(0, 2, 1))
 
 
 @pytest.mark.parametrize(("seconds", "share"), [(0.0, 0.0), (1800.0, 0.1), (3600.0, 0.2), (7200.0, 0.2)])
 def test_a_day_moves_albedo_and_gains_a_fifth_of_the_way_and_less_with_under_an_hour_of_readings(seconds, share):
-    sums = no_sums(())._replace(albedo_s=np.array(seconds), albedo=np.array(0.6 * seconds))
-    assert float(step(Learned(0.2), sums).albedo) == pytest.approx(0.2 + share * 0.4)
-    sums = no_sums(())._replace(west_s=np.array(seconds), west=np.array(0.06 * seconds))
-    learned = step(Learned(), sums)
+    sums = zero_sums(())._replace(albedo_s=np.array(seconds), albedo=np.array(0.6 * seconds))
+    assert float(update_learned(LearnedSite(0.2), sums).albedo) == pytest.approx(0.2 + share * 0.4)
+    sums = zero_sums(())._replace(west_s=np.array(seconds), west=np.array(0.06 * seconds))
+    learned = update_learned(LearnedSite(), sums)
     assert float(learned.gain_west / learned.gain_south) == pytest.approx(np.exp(0.06 * share))
     assert float(learned.gain_east / learned.gain_south) == pytest.approx(1.0)
     assert float(learned.gain_east * learned.gain_south * learned.gain_west) == pytest.approx(1.0)
@@ -136,4 +136,4 @@ def test_only_readings_with_all_faces_usable_and_a_strong_dominant_beam_are_lear
     site = SiteLearning()
     site.observe(faces, sun, np.array(change.get("usable", [True] * 4)), np.array(beam), 3600.0)
     site.end_of_day()
-    assert (site.learned != Learned(0.2, 1.0, 1.0, 1.0)) == learns
+    assert (site.learned != LearnedSite(0.2, 1.0, 1.0, 1.0)) == learns

@@ -15,7 +15,7 @@ SIDE = 80
 
 def field(columns=3, rows=2, pitch_m=5.0, size_m=(2.0, 2.0), up_m=(), groups=3):
     east, north = (pitch_m * part.ravel() for part in np.meshgrid(np.arange(columns), np.arange(rows)))
-    return TrackerGroup.on_map(east.tolist(), north.tolist(), up_m, size_m, LYNGBY_DEG, groups)
+    return TrackerGroup.from_map(east.tolist(), north.tolist(), up_m, size_m, LYNGBY_DEG, groups)
 
 
 def traced(offsets_m, sun, a_deg, b_deg, size_m):
@@ -47,7 +47,7 @@ def test_the_shaded_share_of_every_tracker_agrees_with_ray_tracing(size_m, up_m)
         found = group.shade_of_each(sun, a_deg, b_deg).share
         seen = [traced(offsets, sun, a_deg, b_deg, size_m) for offsets in group.offsets_m]
         np.testing.assert_allclose(found, seen, atol=3.0 / SIDE)
-        worst = group.worst_share(sun, a_deg, b_deg)
+        worst = group.worst_shaded_share(sun, a_deg, b_deg)
         # The worst share is from one neighbour; several together shade more.
         assert worst <= found.max() + 1e-9 or worst == pytest.approx(found.max())
         together += bool((found > worst + 0.01).any())
@@ -55,12 +55,12 @@ def test_the_shaded_share_of_every_tracker_agrees_with_ray_tracing(size_m, up_m)
 
 
 def test_long_rows_shade_each_other_as_pvlib_says():
-    group = TrackerGroup.on_map([0.0, 5.0], [0.0, 0.0], (), (2.0, 1e6), LYNGBY_DEG)
+    group = TrackerGroup.from_map([0.0, 5.0], [0.0, 0.0], (), (2.0, 1e6), LYNGBY_DEG)
     azimuth, elevation = (part.ravel() for part in np.meshgrid([95.0, 120.0, 250.0], [4.0, 9.0, 16.0, 30.0]))
     sun = direction_from_azimuth(azimuth, elevation, LYNGBY_DEG)
     a_deg = np.where(azimuth < 180.0, -45.0, 45.0)
     expected = shaded_fraction1d(90.0 - elevation, azimuth, 180.0, a_deg, collector_width=2.0, pitch=5.0)
-    np.testing.assert_allclose(group.worst_share(sun, a_deg, 90.0), expected, atol=1e-4)
+    np.testing.assert_allclose(group.worst_shaded_share(sun, a_deg, 90.0), expected, atol=1e-4)
     # Of two rows, the one towards the sun has no shade.
     np.testing.assert_allclose(group.shade(sun, a_deg, 90.0).share, expected / 2.0, atol=1e-4)
     assert (expected > 0.3).any()
@@ -82,19 +82,19 @@ def test_bypass_groups_lose_as_much_beam_as_in_pvlibs_martinez_model():
 
 def test_flat_modules_have_no_shade_and_backs_to_the_sun_have_a_worst_share_of_1_but_lose_nothing():
     group, low = field(), direction_from_azimuth([90.0, 180.0, 270.0], 1.0, LYNGBY_DEG)
-    np.testing.assert_array_equal(group.worst_share(low, 0.0, 90.0), 0.0)
+    np.testing.assert_array_equal(group.worst_shaded_share(low, 0.0, 90.0), 0.0)
     away = group.shade(low[0], 50.0, 90.0)
     assert (away.share, away.lost) == (0.0, 0.0)
-    assert group.worst_share(low[0], 50.0, 90.0) == 1.0
+    assert group.worst_shaded_share(low[0], 50.0, 90.0) == 1.0
 
 
 def test_a_neighbour_on_the_equators_side_casts_shade_in_both_hemispheres():
     for latitude_deg, azimuth_deg in ((55.0, 180.0), (-30.0, 0.0)):
-        group = TrackerGroup.on_map([0.0, 0.0], [0.0, 4.0], (), (2.0, 2.0), latitude_deg)
+        group = TrackerGroup.from_map([0.0, 0.0], [0.0, 4.0], (), (2.0, 2.0), latitude_deg)
         towards = direction_from_azimuth(azimuth_deg, 10.0, latitude_deg)
         azimuth, _ = azimuth_from_direction(towards, latitude_deg)
         assert azimuth == pytest.approx(azimuth_deg)
-        assert group.worst_share(towards, 0.0, 20.0) > 0.3
+        assert group.worst_shaded_share(towards, 0.0, 20.0) > 0.3
 
 
 def test_equivalent_places_of_a_large_field_are_computed_once():
@@ -134,17 +134,17 @@ def test_modules_with_one_bypass_group_or_none_and_small_modules_are_accepted():
 
 
 def test_a_tracker_that_is_higher_on_the_map_is_higher_in_the_groups_offsets():
-    group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 1.0), 48.0)
+    group = TrackerGroup.from_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 1.0), 48.0)
     # The frame's axes point south, east and up: north is negative.
     far = group.offsets_m.reshape(-1, 3)
     np.testing.assert_allclose(far[far[:, 2] > 0], [[-4.0, 3.0, 1.5]], atol=1e-9)
 
 
 def test_a_neighbour_in_another_row_and_column_and_at_another_height_casts_shade():
-    group = TrackerGroup.on_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 2.0), 48.0)
+    group = TrackerGroup.from_map([0.0, 3.0], [0.0, 4.0], [0.0, 1.5], (2.0, 2.0), 48.0)
     sun = np.array([-4.0, 3.0, 1.5]) / np.sqrt(27.25)
     # The sun is behind the neighbour's middle: all is shaded.
-    assert group.worst_share(sun, -30.0, 90.0) == pytest.approx(1.0)
+    assert group.worst_shaded_share(sun, -30.0, 90.0) == pytest.approx(1.0)
 
 
 def test_the_shade_and_beam_share_of_many_suns_equal_those_of_each_alone():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from daemon.base.records import Decision, Mode
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.studies.campaign.watch.clock_steps import ClockSteps
-from daemon.studies.campaign.watch.storms import FREE
+from daemon.studies.campaign.watch.storms import UNSTOWED_MODES
 
 if TYPE_CHECKING:
     from daemon.tracker.wishes import Wish
@@ -19,7 +19,7 @@ _SAME_DEG = 0.01
 _DECIDING_MODES = (Mode.TRACKING, Mode.FALLBACK)
 
 
-class Decided:
+class DecisionCheck:
     """Checks how old the grounds of a target are: readings, the clock, and all that is from before a machine's sleep.
 
     Parameters
@@ -40,11 +40,11 @@ class Decided:
         self._unarrived_goto: Wish | None = None
         self._undecided_move_s = math.nan
 
-    def service_begins(self) -> None:
+    def note_service_start(self) -> None:
         """Take note of a new process: it knows nothing from before its start."""
         self._woke_s, self._unarrived_goto = -math.inf, None
 
-    def wakes(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
+    def note_wake_up(self, mount: PlantTracker, slept_s: float, now_s: float) -> None:
         """Take note that the machine has slept for `slept_s`, until now."""
         if slept_s > _stale_s(mount):
             self._woke_s = now_s
@@ -75,7 +75,7 @@ class Decided:
         mode, seen, awake = mount.control.mode, mount.motion.telemetry, f"{now_s - woke_s:.1f} s after a sleep"
         if seen is None or seen.time_monotonic_s < woke_s:
             self._fails("slept", f"{target} is sent {awake}, and nobody has looked where the unit stands since")
-        if mode in FREE and mount.wind_silent_since_s <= woke_s:
+        if mode in UNSTOWED_MODES and mount.wind_silent_since_s <= woke_s:
             self._fails("slept", f"{target} is sent in mode {mode} {awake}, and the wind has not been heard since")
         if mode is Mode.HOLD and self._unarrived_goto is not None and mount.control.wishes.hold is self._unarrived_goto:
             self._fails("slept", f"{target} is sent {awake}, by a goto of before it that had not arrived")

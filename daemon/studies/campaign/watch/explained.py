@@ -21,10 +21,10 @@ _TARGETS: dict[int, AxisName] = {
 _ROTCTLD = b"+"
 _HOMES: dict[bytes, AxisName] = {wire.HOME_A.encode(): "a", wire.HOME_B.encode(): "b"}
 
-Why = Literal["hand", "home", "order", "run-out"]
+MotionReason = Literal["hand", "home", "order", "run-out"]
 
 
-class Counted(NamedTuple):
+class AxisCount(NamedTuple):
     """What the unit itself says of an axis: position and destination in the unit that it counts in.
 
     `per_deg` is the largest count that a degree can have.
@@ -40,7 +40,7 @@ class Counted(NamedTuple):
         return abs(self.destination - self.position) / self.per_deg
 
 
-class Explained:
+class ActiveOrders:
     """The orders of each axis that have not been taken back.
 
     An order counts from when the driver has seen the unit take it, as long as the unit's own destination stays the
@@ -65,7 +65,7 @@ class Explained:
         self.by_position = False
         self.packets = 0
 
-    def packet(self, data: bytes, now_s: float) -> None:
+    def note_packet(self, data: bytes, now_s: float) -> None:
         """Note a packet: a target or a reference run begins an order; a stop or a new status takes orders back."""
         self.packets += 1
         if data.startswith(_ROTCTLD):
@@ -102,11 +102,11 @@ class Explained:
         self._homing.clear()
         self._ordered_axes.clear()
 
-    def confirmed(self, a: Counted, b: Counted) -> None:
+    def confirm(self, a: AxisCount, b: AxisCount) -> None:
         """Take the unit's destinations for ours from now on: the driver has seen it take a target."""
         self._destination = {"a": a.destination, "b": b.destination}
 
-    def held(self, *, is_held: bool, now_s: float) -> None:
+    def note_button(self, *, is_held: bool, now_s: float) -> None:
         """Note that a person holds a button at the unit, or lets it go."""
         self._button_held = is_held
         self._released_s = now_s
@@ -116,8 +116,8 @@ class Explained:
         return self._button_held or now_s - self._released_s < RUN_OUT_S
 
     def why(
-        self, axis: AxisName, counted: Counted, now_s: float, *, counts_up: bool, homing: bool, heading: bool
-    ) -> Why | None:
+        self, axis: AxisName, counted: AxisCount, now_s: float, *, counts_up: bool, homing: bool, heading: bool
+    ) -> MotionReason | None:
         """Return why an axis may move, or None.
 
         Parameters
@@ -142,7 +142,7 @@ class Explained:
             return "order"
         return "run-out" if now_s < self._run_out_s else None
 
-    def _is_ordered(self, axis: AxisName, counted: Counted, *, counts_up: bool) -> bool:
+    def _is_ordered(self, axis: AxisName, counted: AxisCount, *, counts_up: bool) -> bool:
         destination = self._destination[axis]
         if destination is None or (not self.by_position and abs(counted.destination - destination) > _SAME_DESTINATION):
             return False

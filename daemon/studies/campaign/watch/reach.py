@@ -4,10 +4,10 @@ import math
 
 from daemon.rigs.campaign.plant import PlantTracker
 
-CONNECTED_S = 2.0
+CONNECTION_GRACE_S = 2.0
 """How long after the first telemetry the service has before all promises bind."""
 CONNECTS_WITHIN_S = 15.0
-HEARS_AGAIN_S = 6.0
+DEAFNESS_GRACE_S = 6.0
 """How long after a unit was deaf: the service's pauses between its stop commands may have grown by then."""
 
 
@@ -32,18 +32,18 @@ class Reach:
         self._grace_s = 0.0
         self._deaf = False
 
-    def service_begins(self, now_s: float) -> None:
+    def note_service_start(self, now_s: float) -> None:
         """Take note of a new process."""
         self.begun_s = self.since_s = now_s
         self._connected, self.connected_s, self._grace_s = False, math.inf, 0.0
 
-    def link_changes(self, now_s: float) -> None:
+    def note_link_change(self, now_s: float) -> None:
         """Take note that a plug was pulled or put back, or that the unit is heard again."""
         self.since_s, self._grace_s = now_s, 0.0
 
-    def deaf(self, now_s: float, *, is_deaf: bool) -> None:
+    def note_deafness(self, now_s: float, *, is_deaf: bool) -> None:
         """Take note that the unit takes no commands, or takes them again."""
-        self._deaf, self.since_s, self._grace_s = is_deaf, now_s, HEARS_AGAIN_S
+        self._deaf, self.since_s, self._grace_s = is_deaf, now_s, DEAFNESS_GRACE_S
 
     def sample(self, mount: PlantTracker, now_s: float) -> None:
         """See whether there is telemetry."""
@@ -54,11 +54,11 @@ class Reach:
             self.connected_s = math.inf
         self._connected = connected
 
-    def live(self, mount: PlantTracker, now_s: float) -> bool:
+    def can_keep_promises(self, mount: PlantTracker, now_s: float) -> bool:
         """Tell whether the service can keep its promises: it has had time to connect and to be heard."""
         if not (mount.is_served and mount.plugged) or self._deaf or mount.is_silent or mount.is_gone:
             return False
         if now_s - self.since_s > CONNECTS_WITHIN_S:
             return True
         since_s = max(self.connected_s, self.since_s)
-        return self._connected and now_s - since_s > max(CONNECTED_S, self._grace_s)
+        return self._connected and now_s - since_s > max(CONNECTION_GRACE_S, self._grace_s)

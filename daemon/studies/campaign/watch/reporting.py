@@ -7,7 +7,7 @@ from itertools import islice
 
 from daemon.base.records import Event, Mode, ModeChange, Record
 from daemon.rigs.campaign.plant import PlantTracker
-from daemon.studies.campaign.watch.true_count import COUNTED_DEG
+from daemon.studies.campaign.watch.true_count import COUNT_TOLERANCE_DEG
 
 WORTH_REPORTING_DEG, WORTH_BY_POSITION_DEG = 0.5, 1.2
 """The second is for a unit that reports positions alone: motion shows half a second and a quarter degree later."""
@@ -53,15 +53,15 @@ class Reporting:
         self._jumped = False
 
     @property
-    def waits(self) -> bool:
+    def is_pending(self) -> bool:
         """Whether a report is due, or an axis turns so that one may become due."""
         return bool(self._unreported) or self._begun_s is not None
 
-    def cause(self, now_s: float) -> None:
+    def note_cause(self, now_s: float) -> None:
         """Note that a fault begins or ends, or that a hand is at the unit."""
         self._cause_s = now_s
 
-    def unexplained(self, turned_deg: float, now_s: float, *, by_position: bool = False) -> None:
+    def note_unexplained_motion(self, turned_deg: float, now_s: float, *, by_position: bool = False) -> None:
         """Note that an axis turns without an order, and the service could know; `by_position`: by positions alone."""
         self._cause_s = now_s
         if self._begun_s is None or now_s - self._turned_s > REPORTED_WITHIN_S:
@@ -72,13 +72,13 @@ class Reporting:
             self._unreported.append((self._begun_s, self._turned_deg))
             self._begun_s = None
 
-    def stands(self) -> None:
+    def note_standstill(self) -> None:
         """Note that both axes stand, or move by an order."""
         self._begun_s = None
 
     def check(self, mount: PlantTracker, now_s: float, *, by_hand: bool) -> None:
         """Compare with what has been reported by now."""
-        blocked = mount.motion.unexplained
+        blocked = mount.motion.unexplained_motion
         if by_hand:
             self._cause_s = now_s
         if blocked is not None and self._blocked is None and now_s - self._cause_s > CAUSE_WITHIN_S:
@@ -108,7 +108,7 @@ class Reporting:
 def _has_true_count(mount: PlantTracker, now_s: float) -> bool:
     at = mount.axes()
     shown_deg = mount.unit.shown_deg("a", now_s), mount.unit.shown_deg("b", now_s)
-    return max(abs(shown_deg[0] - at.a_deg), abs(shown_deg[1] - at.b_deg)) < COUNTED_DEG
+    return max(abs(shown_deg[0] - at.a_deg), abs(shown_deg[1] - at.b_deg)) < COUNT_TOLERANCE_DEG
 
 
 def _is_report_since(record: Record, since_s: float) -> bool:

@@ -36,7 +36,7 @@ def _way(turned_deg: float, least_deg: float) -> int:
     return 0 if abs(turned_deg) <= least_deg else 1 if turned_deg > 0.0 else -1
 
 
-class Steady:
+class ChangeDetector:
     """Knows what the last close look depended on."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class Steady:
         """Take note of a close look, whose findings hold until `until_s` if nothing changes."""
         self._last_state, self._turning, self._until_s = _watched_state(mount, now_s), turns, until_s
 
-    def goes_on(self, mount: PlantTracker, turns: Turning, now_s: float) -> bool:
+    def is_unchanged(self, mount: PlantTracker, turns: Turning, now_s: float) -> bool:
         """Tell whether a close look would find what the last one did."""
         if self._last_state is None or now_s >= self._until_s or turns != self._turning:
             return False
@@ -65,7 +65,7 @@ def _watched_state(mount: PlantTracker, now_s: float) -> tuple[object, ...]:
         motion.connected,
         motion.homing,
         motion.target is None,
-        motion.unexplained,
+        motion.unexplained_motion,
         mount.is_served,
         mount.wind_m_s,
         mount.unit.changes(now_s),

@@ -5,19 +5,19 @@ from collections.abc import Callable
 
 from daemon.base.records import Mode, MoveOutcome
 from daemon.rigs.campaign.plant import PlantTracker
-from daemon.studies.campaign.watch.asked_for import is_there, parked_at
+from daemon.studies.campaign.watch.asked_for import is_at_position, park_positions
 from solar.frames import Angles
 
-STORM_S = 11.0
+STORM_RESPONSE_S = 11.0
 """How soon the service must answer a strong wind: two decisions of control, and a margin."""
-GUST_STOWS_S = 60.0
+STOWED_AFTER_GUST_S = 60.0
 LOOKS_WITHIN_S = 1.5
 """The service counts the wind as calm from its last look at a strong one, up to this long before the gust ends."""
 STOWED_WITHIN_S = 420.0
 """From one corner of the limits to the stow position, one axis after the other, with a second try."""
 SENT_WITHIN_S = 12.0
 """How soon a stow that has not failed must be sent: two decisions of control, and a margin."""
-FREE = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
+UNSTOWED_MODES = (Mode.TRACKING, Mode.FALLBACK, Mode.NIGHT, Mode.SNOW)
 
 
 class Storms:
@@ -44,13 +44,13 @@ class Storms:
         self.gust_s = -math.inf
         self.excused = False
 
-    def disturbed(self, now_s: float) -> None:
+    def note_disturbance(self, now_s: float) -> None:
         """Note that a fault or a person's command comes in between: a stow may take longer."""
         self._undisturbed_since_s = now_s
 
-    def waits(self, now_s: float) -> bool:
+    def is_pending(self, now_s: float) -> bool:
         """Tell whether time alone may break a promise: in a storm, or shortly after a gust."""
-        return self._storm_s is not None or now_s < self.gust_s + GUST_STOWS_S
+        return self._storm_s is not None or now_s < self.gust_s + STOWED_AFTER_GUST_S
 
     def check(self, mount: PlantTracker, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
         """Compare wind, mode and where the axes truly stand.
@@ -58,9 +58,9 @@ class Storms:
         `reachable_s` and `live` say since when, and whether, the service can do anything.
         """
         self._check_storm(mount, at, now_s, reachable_s, live=live)
-        stows_s = min(GUST_STOWS_S, mount.settings.safety.stow_at_least_s - LOOKS_WITHIN_S)
-        after_gust = self.gust_s + STORM_S < now_s < self.gust_s + stows_s
-        if after_gust and reachable_s < now_s - STORM_S and mount.control.mode in FREE and live:
+        stows_s = min(STOWED_AFTER_GUST_S, mount.settings.safety.stow_at_least_s - LOOKS_WITHIN_S)
+        after_gust = self.gust_s + STORM_RESPONSE_S < now_s < self.gust_s + stows_s
+        if after_gust and reachable_s < now_s - STORM_RESPONSE_S and mount.control.mode in UNSTOWED_MODES and live:
             self._fails("storm", f"mode {mount.control.mode} {now_s - self.gust_s:.0f} s after a gust")
 
     def _check_storm(self, mount: PlantTracker, at: Angles, now_s: float, reachable_s: float, *, live: bool) -> None:
@@ -72,7 +72,7 @@ class Storms:
         if self._storm_s is None:
             self._storm_s = now_s
         since_s = max(self._storm_s, reachable_s)
-        if now_s - since_s > STORM_S and mount.control.mode in FREE and live:
+        if now_s - since_s > STORM_RESPONSE_S and mount.control.mode in UNSTOWED_MODES and live:
             self._fails("storm", f"mode {mount.control.mode} {now_s - since_s:.0f} s into a wind of {wind} m/s")
         since_s = max(since_s, self._undisturbed_since_s)
         if live and not self.excused and mount.control.mode is Mode.STOW:
@@ -82,7 +82,7 @@ class Storms:
 
     def _check_stow(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float) -> None:
         last = mount.motion.last_move
-        there = is_there(at, parked_at(mount.settings)[Mode.STOW], mount.settings)
+        there = is_at_position(at, park_positions(mount.settings)[Mode.STOW], mount.settings)
         if now_s - since_s > STOWED_WITHIN_S and not there:
             self._fails("stow", f"the tracker stands at {at} {now_s - since_s:.0f} s into a storm")
         # A move that has failed waits to be tried again.

@@ -7,13 +7,13 @@ from daemon.rigs.campaign.plant import PlantTracker
 from drivers.interfaces import AxisName
 from solar.frames import Angles
 
-COUNTED_DEG = 0.02
-REFERENCE_DEG = 0.8
-REFERENCE_EVERY_S = 5.0
+COUNT_TOLERANCE_DEG = 0.02
+WRONG_COUNT_DEG = 0.8
+COUNT_CHECK_EVERY_S = 5.0
 DOUBTS_WITHIN_S = 30.0
 
 
-class TrueCount:
+class CountCheck:
     """Compares the unit's count with the truth.
 
     Parameters
@@ -40,14 +40,14 @@ class TrueCount:
         self.wrong_s: float | None = None
         self.compared_s = float("-inf")
 
-    def counts(self, mount: PlantTracker, axis: AxisName, at_deg: float, now_s: float) -> bool:
-        """Tell whether the unit's count of an axis is the truth, to within `COUNTED_DEG`."""
-        return abs(mount.unit.shown_deg(axis, now_s) - at_deg) < COUNTED_DEG
+    def is_count_true(self, mount: PlantTracker, axis: AxisName, at_deg: float, now_s: float) -> bool:
+        """Tell whether the unit's count of an axis is the truth, to within `COUNT_TOLERANCE_DEG`."""
+        return abs(mount.unit.shown_deg(axis, now_s) - at_deg) < COUNT_TOLERANCE_DEG
 
     def is_wrong(self, mount: PlantTracker, at: Angles, now_s: float) -> bool:
         """Tell whether the unit's count is not where the axes are."""
         shown = _shown_angles(mount, now_s)
-        return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > REFERENCE_DEG
+        return max(abs(shown.a_deg - at.a_deg), abs(shown.b_deg - at.b_deg)) > WRONG_COUNT_DEG
 
     def check(self, mount: PlantTracker, at: Angles, now_s: float, since_s: float, *, blind: bool, live: bool) -> None:
         """Look every few seconds at axes that stand.
@@ -61,13 +61,13 @@ class TrueCount:
         live
             Whether the service is there and connected.
         """
-        if now_s - self.compared_s < REFERENCE_EVERY_S:
+        if now_s - self.compared_s < COUNT_CHECK_EVERY_S:
             return
         self.compared_s = now_s
         if not self.is_wrong(mount, at, now_s):
             self.wrong_s = None
             # A count that is slightly wrong at one angle may be wrong by a degree at another.
-            true = self.counts(mount, "a", at.a_deg, now_s) and self.counts(mount, "b", at.b_deg, now_s)
+            true = self.is_count_true(mount, "a", at.a_deg, now_s) and self.is_count_true(mount, "b", at.b_deg, now_s)
             self.excused = self.excused and (blind or not true)
             return
         if self.wrong_s is None:

@@ -12,15 +12,15 @@ from collections.abc import Iterator
 from daemon.base.records import Scan
 from daemon.base.timeloop import call_until, wait_at_most
 from daemon.rigs.campaign.plant import PlantTracker
-from daemon.studies.campaign.watch.asked_for import check_asked_for
+from daemon.studies.campaign.watch import steady
+from daemon.studies.campaign.watch.asked_for import check_target
 from daemon.studies.campaign.watch.believed import check_scan
-from daemon.studies.campaign.watch.decided import Decided
-from daemon.studies.campaign.watch.explained import AT_TARGET_DEG, RUN_OUT_S, Counted, Explained
+from daemon.studies.campaign.watch.decided import DecisionCheck
+from daemon.studies.campaign.watch.explained import AT_TARGET_DEG, RUN_OUT_S, ActiveOrders, AxisCount
 from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
-from daemon.studies.campaign.watch.steady import FASTEST_COUNTED_DEG_PER_S, FASTEST_DEG_PER_S, STANDS, Steady, turning
-from daemon.studies.campaign.watch.storms import STORM_S, Storms
-from daemon.studies.campaign.watch.true_count import REFERENCE_EVERY_S, TrueCount
+from daemon.studies.campaign.watch.storms import STORM_RESPONSE_S, Storms
+from daemon.studies.campaign.watch.true_count import COUNT_CHECK_EVERY_S, CountCheck
 from drivers.interfaces import AxisName
 from solar.frames import Angles
 
@@ -31,10 +31,10 @@ MOVES_DEG = 0.003
 
 STANDSTILL_S = 0.7
 UNEXPLAINED_S = 2.0
-SAMPLING_S = 0.15
+SAMPLING_MARGIN_S = 0.15
 UNIT_TRIPS_S = 1.5
 """Without Hall pulses nobody but the unit can see an axis move, and it takes 2 s to notice."""
-LIMIT_DEG, SLEW_RUN_OUT_DEG = 0.02, 0.06  # A slew drive is sent to a limit in whole units, and runs out beyond it.
+LIMIT_MARGIN_DEG, SLEW_RUN_OUT_DEG = 0.02, 0.06  # A slew drive is sent to a limit in whole units, and runs out beyond.
 
 
 class TruthWatch:
@@ -52,23 +52,23 @@ class TruthWatch:
         Which axes turn.
     blind
         Axes without Hall pulses.
-    lasting
+    active_faults
         How many faults are on at present.
     """
 
     def __init__(self) -> None:
         self.violations: list[Violation] = []
         self.stop_latencies_s: list[float] = []
-        self.explained = Explained()
-        self.reporting = Reporting(self.fails)
-        self.storms = Storms(self.fails)
-        self.decided = Decided(self.fails)
+        self.active_orders = ActiveOrders()
+        self.reporting = Reporting(self.add_violation)
+        self.storms = Storms(self.add_violation)
+        self.decision_check = DecisionCheck(self.add_violation)
         self.reach = Reach()
-        self.reference = TrueCount(self.fails)
-        self._steady = Steady()
+        self.count_check = CountCheck(self.add_violation)
+        self._steady = steady.ChangeDetector()
         self.moving: dict[AxisName, bool] = {"a": False, "b": False}
         self.blind: set[AxisName] = set()
-        self.lasting = 0
+        self.active_faults = 0
         self._pose: Angles | None = None
         self._sampled_s = -math.inf
         self._wake = asyncio.Event()
@@ -92,18 +92,18 @@ class TruthWatch:
         """The plant's time."""
         return self.mount.clock.monotonic()
 
-    def fails(self, promise: str, text: str) -> None:
+    def add_violation(self, promise: str, text: str) -> None:
         """Take note of a broken promise, the first time in a minute."""
         key = (promise, int(self.now_s // 60))
         if key not in self._noted_failures:
             self._noted_failures.add(key)
-            self.violations.append(Violation(promise, self.now_s, f"{self.mount.called}{text}"))
+            self.violations.append(Violation(promise, self.now_s, f"{self.mount.text_prefix}{text}"))
 
     # What the taps, the faults and the persons report.
 
-    def packet(self, data: bytes, now_s: float) -> None:
+    def note_packet(self, data: bytes, now_s: float) -> None:
         """Take note of a packet that reaches the unit."""
-        self.explained.packet(data, now_s)
+        self.active_orders.note_packet(data, now_s)
         self.wake()
 
     @contextlib.contextmanager
@@ -116,80 +116,80 @@ class TruthWatch:
         finally:
             self._being_sent -= 1
             self._sent_s = self.now_s
-        self.explained.confirmed(*self._unit_counts())
+        self.active_orders.confirm(*self._unit_counts())
 
-    def homes(self, axis: AxisName) -> None:
+    def note_homing(self, axis: AxisName) -> None:
         """Take note that a reference run is ordered."""
         if self._being_sent:
-            self.fails("two-targets", f"a reference run of {axis} is ordered while a target is being sent")
+            self.add_violation("two-targets", f"a reference run of {axis} is ordered while a target is being sent")
 
-    def service_begins(self) -> None:
+    def note_service_start(self) -> None:
         """Take note that a new process is there."""
-        self.reach.service_begins(self.now_s)
-        self.decided.service_begins()
+        self.reach.note_service_start(self.now_s)
+        self.decision_check.note_service_start()
 
-    def link_changes(self) -> None:
+    def note_link_change(self) -> None:
         """Take note that a plug was pulled or put back, or that the unit hears or is heard again."""
-        self.reach.link_changes(self.now_s)
+        self.reach.note_link_change(self.now_s)
         self.wake()
 
-    def wakes(self, slept_s: float) -> None:
+    def note_wake_up(self, slept_s: float) -> None:
         """Take note that the machine has slept for `slept_s`: nobody could see where the axes went meanwhile."""
-        self.decided.wakes(self.mount, slept_s, self.now_s)
-        self.link_changes()
+        self.decision_check.note_wake_up(self.mount, slept_s, self.now_s)
+        self.note_link_change()
         self._pose = None
 
-    def deaf(self, *, is_deaf: bool) -> None:
+    def note_deafness(self, *, is_deaf: bool) -> None:
         """Take note that the unit takes no commands, or takes them again."""
-        self.reach.deaf(self.now_s, is_deaf=is_deaf)
+        self.reach.note_deafness(self.now_s, is_deaf=is_deaf)
         self.wake()
 
-    def sees_again(self, axis: AxisName) -> None:
+    def note_hall_pulses_back(self, axis: AxisName) -> None:
         """Take note that an axis gives Hall pulses again: nobody could see what it did without them."""
         self.blind.discard(axis)
         self._unexplained_s[axis] = None
 
-    def moves_itself(self) -> None:
+    def note_self_motion(self) -> None:
         """Take note that the unit may move by itself from now on."""
         self._self_moved_s = self.now_s
         self.wake()
 
-    def stop_is_asked(self) -> None:
+    def note_stop_request(self) -> None:
         """Take note of a person's stop."""
         self._stop_s, self._stop_measured = self.now_s, not (self._live(self.now_s) and any(self.moving.values()))
         self.wake()
 
-    def stop_is_released(self) -> None:
+    def note_stop_release(self) -> None:
         """Take note that a person has released the stop."""
         self._stop_s, self._stop_measured = None, True
 
-    def maintenance_begins(self) -> None:
+    def note_maintenance_start(self) -> None:
         """Take note of maintenance."""
         if self._maintenance_s is None:
             self._maintenance_s = self.now_s
         self._steady.forget()
 
-    def maintenance_ends(self) -> None:
+    def note_maintenance_end(self) -> None:
         """Take note that maintenance is over, or was refused."""
         self._maintenance_s = None
 
-    def gust(self) -> None:
+    def note_gust(self) -> None:
         """Take note that the wind has been strong for more than a second."""
-        if self.mount.is_served and self.now_s - self.reach.begun_s > STORM_S:
+        if self.mount.is_served and self.now_s - self.reach.begun_s > STORM_RESPONSE_S:
             self.storms.gust_s = self.now_s
             self._steady.forget()
 
-    def scan(self, scan: Scan) -> None:
+    def note_scan(self, scan: Scan) -> None:
         """Take note of a scan that the service has accepted."""
-        check_scan(scan, self.fails)
+        check_scan(scan, self.add_violation)
 
     @property
-    def stopped(self) -> bool:
+    def is_stopped(self) -> bool:
         """Whether a person's stop is latched."""
         return self._stop_s is not None
 
     @property
-    def maintained(self) -> bool:
+    def is_in_maintenance(self) -> bool:
         """Whether the tracker is in maintenance."""
         return self._maintenance_s is not None
 
@@ -198,15 +198,15 @@ class TruthWatch:
         """When the latched stop was asked for; infinite without one."""
         return math.inf if self._stop_s is None else self._stop_s
 
-    def disturbed(self, within_s: float) -> bool:
+    def was_disturbed(self, within_s: float) -> bool:
         """Tell whether a fault or a hand may have moved an axis lately."""
-        now_s, since_s = self.now_s, max(self._self_moved_s, self.reach.since_s, self.reference.lost_s)
-        return now_s - since_s < within_s or self.explained.by_hand(now_s)
+        now_s, since_s = self.now_s, max(self._self_moved_s, self.reach.since_s, self.count_check.lost_s)
+        return now_s - since_s < within_s or self.active_orders.by_hand(now_s)
 
-    def disturbs(self) -> None:
+    def note_disturbance(self) -> None:
         """Take note that a fault begins or ends, or that a person gives a command."""
-        self.reporting.cause(self.now_s)
-        self.storms.disturbed(self.now_s)
+        self.reporting.note_cause(self.now_s)
+        self.storms.note_disturbance(self.now_s)
         self.wake()
 
     def wake(self) -> None:
@@ -244,13 +244,13 @@ class TruthWatch:
             self._look_closely(at, at, 0.0, now_s)
             return
         least_deg = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
-        turns = turning(before, at, least_deg)
-        if not self._steady.goes_on(self.mount, turns, now_s):
+        turns = steady.turning(before, at, least_deg)
+        if not self._steady.is_unchanged(self.mount, turns, now_s):
             self._steady.forget()
             until_s = self._look_closely(before, at, least_deg, now_s)
             if until_s > now_s:
                 self._steady.note(self.mount, now_s, turns, until_s)
-        elif turns != STANDS:
+        elif turns != steady.STANDS:
             self._note_motion(now_s)
 
     def _look_closely(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
@@ -264,16 +264,16 @@ class TruthWatch:
         self._check_stop(now_s, live=live)
         self._check_reference(at, now_s)
         if not any(self.moving.values()):
-            until_s = min(until_s, self.reference.compared_s + REFERENCE_EVERY_S)
+            until_s = min(until_s, self.count_check.compared_s + COUNT_CHECK_EVERY_S)
         # The storm itself is one of the faults.
-        self.storms.excused = self.lasting > 1 or self.reference.excused or self.reference.wrong_s is not None
+        self.storms.excused = self.active_faults > 1 or self.count_check.excused or self.count_check.wrong_s is not None
         self.storms.check(self.mount, self.mount.truth(), now_s, self.reach.since_s, live=live)
         if live:
-            self.reporting.check(self.mount, now_s, by_hand=self.explained.by_hand(now_s))
+            self.reporting.check(self.mount, now_s, by_hand=self.active_orders.by_hand(now_s))
         else:
             self.reporting.forget()
-        waits = self.stopped or self.maintained or self.storms.waits(now_s) or self.reporting.waits
-        return until_s if live and not waits and not self.explained.by_hand(now_s) else -math.inf
+        waits = self.is_stopped or self.is_in_maintenance or self.storms.is_pending(now_s) or self.reporting.is_pending
+        return until_s if live and not waits and not self.active_orders.by_hand(now_s) else -math.inf
 
     def _note_motion(self, now_s: float) -> None:
         self._fast_until_s = max(self._fast_until_s, now_s + 0.5)
@@ -294,10 +294,10 @@ class TruthWatch:
         has_arrived = left_deg <= self.mount.settings.motion.tolerance_deg
         heading = motion.target is not None or (has_arrived and now_s < heads_until_s)
         counts_up = (turned_deg > 0.0) is not self.mount.is_lowered(axis)
-        why = self.explained.why(axis, counted, now_s, counts_up=counts_up, homing=motion.homing, heading=heading)
+        why = self.active_orders.why(axis, counted, now_s, counts_up=counts_up, homing=motion.homing, heading=heading)
         if why is None:
             # This justifies an alarm, whatever the count says, and however late a service starts and raises it.
-            self.reporting.cause(now_s)
+            self.reporting.note_cause(now_s)
         if not live:
             self._unexplained_s[axis] = None
             return -math.inf
@@ -305,25 +305,25 @@ class TruthWatch:
             self._check_unexplained(axis, at_deg, now_s)
             # One axis may have taken a target that the other did not take: the move fails, and that is reported.
             if not self._being_sent and now_s - self._sent_s > UNEXPLAINED_S and self._counts(axis, at_deg):
-                self.reporting.unexplained(turned_deg, now_s, by_position=self.explained.by_position)
+                self.reporting.note_unexplained_motion(turned_deg, now_s, by_position=self.active_orders.by_position)
             return -math.inf
         self._unexplained_s[axis] = None
-        self.reporting.stands()
+        self.reporting.note_standstill()
         if why == "order":
-            limit_s = self._check_limits(axis, at_deg, turned_deg) / FASTEST_DEG_PER_S
-            until_s = now_s + min((left_deg - AT_TARGET_DEG) / FASTEST_COUNTED_DEG_PER_S, limit_s)
+            limit_s = self._check_limits(axis, at_deg, turned_deg) / steady.FASTEST_DEG_PER_S
+            until_s = now_s + min((left_deg - AT_TARGET_DEG) / steady.FASTEST_COUNTED_DEG_PER_S, limit_s)
             return until_s if motion.target is not None else min(until_s, heads_until_s)
         return math.inf if why == "home" else -math.inf
 
     def _live(self, now_s: float) -> bool:
-        return self.reach.live(self.mount, now_s)
+        return self.reach.can_keep_promises(self.mount, now_s)
 
-    def _unit_counts(self) -> tuple[Counted, Counted]:
+    def _unit_counts(self) -> tuple[AxisCount, AxisCount]:
         """Return what the unit itself says of the axes A and B."""
         return self._unit_count("a"), self._unit_count("b")
 
-    def _unit_count(self, axis: AxisName) -> Counted:
-        return Counted(*self.mount.unit.course(axis, self.now_s), self.mount.units_per_deg(axis))
+    def _unit_count(self, axis: AxisName) -> AxisCount:
+        return AxisCount(*self.mount.unit.position_and_destination(axis, self.now_s), self.mount.units_per_deg(axis))
 
     # The promises.
 
@@ -331,9 +331,9 @@ class TruthWatch:
         since_s = self._unexplained_s[axis]
         if since_s is None:
             self._unexplained_s[axis] = now_s - SAMPLE_S
-        elif now_s - since_s > UNEXPLAINED_S + SAMPLING_S + (UNIT_TRIPS_S if axis in self.blind else 0.0):
+        elif now_s - since_s > UNEXPLAINED_S + SAMPLING_MARGIN_S + (UNIT_TRIPS_S if axis in self.blind else 0.0):
             motion, control = self.mount.motion, self.mount.control
-            self.fails(
+            self.add_violation(
                 "unexplained-motion",
                 f"axis {axis} has moved for {now_s - since_s:.1f} s without an order and stands at {at_deg:.2f} deg;"
                 f" mode {control.mode}: {control.why}; target {motion.target}",
@@ -343,8 +343,9 @@ class TruthWatch:
         """Return how far it is to the limit that the axis turns to [deg]; below 0 beyond it."""
         low, high = self.mount.range_deg(axis)
         beyond_deg = low - at_deg if turned_deg < 0 else at_deg - high
-        if beyond_deg > (SLEW_RUN_OUT_DEG if self.mount.has_slew_drives else LIMIT_DEG) and self._counts(axis, at_deg):
-            self.fails("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
+        margin_deg = SLEW_RUN_OUT_DEG if self.mount.has_slew_drives else LIMIT_MARGIN_DEG
+        if beyond_deg > margin_deg and self._counts(axis, at_deg):
+            self.add_violation("limits", f"axis {axis} is driven to {at_deg:.3f} deg, beyond {low:g} to {high:g}")
         return -beyond_deg
 
     def _check_stop(self, now_s: float, *, live: bool) -> None:
@@ -356,44 +357,44 @@ class TruthWatch:
         if self._stop_s is not None and not self._stop_measured and not moving:
             self._stop_measured = True
             self.stop_latencies_s.append(now_s - self._stop_s)
-        if not moving or not live or self.explained.by_hand(now_s):
+        if not moving or not live or self.active_orders.by_hand(now_s):
             return
         since_s = self._stop_s if self._stop_s is not None else self._maintenance_s
         assert since_s is not None  # noqa: S101 - narrowing; one of the two is on
         itself_s = UNEXPLAINED_S + (UNIT_TRIPS_S if any(self.moving[axis] for axis in self.blind) else 0.0)
-        free_s = max(since_s + STANDSTILL_S, self._self_moved_s + itself_s) + SAMPLING_S
+        free_s = max(since_s + STANDSTILL_S, self._self_moved_s + itself_s) + SAMPLING_MARGIN_S
         if now_s > free_s:
             kind = "stop" if self._stop_s is not None else "maintenance"
             axes = " and ".join(axis for axis, moves in self.moving.items() if moves)
-            self.fails(
+            self.add_violation(
                 f"moves-under-{kind}",
                 f"axis {axes} moves {now_s - since_s:.1f} s after {kind} and stands at {self._pose};"
                 f" mode {self.mount.control.mode}: {self.mount.control.why}",
             )
 
     def _counts(self, axis: AxisName, at_deg: float) -> bool:
-        return self.reference.counts(self.mount, axis, at_deg, self.now_s)
+        return self.count_check.is_count_true(self.mount, axis, at_deg, self.now_s)
 
     def is_wrong(self) -> bool:
         """Tell whether the unit's count is wrong."""
-        return self.reference.is_wrong(self.mount, self._pose or self.mount.axes(), self.now_s)
+        return self.count_check.is_wrong(self.mount, self._pose or self.mount.axes(), self.now_s)
 
     def _check_reference(self, at: Angles, now_s: float) -> None:
         if not any(self.moving.values()) and self.mount.is_served:
             since_s = max(self.reach.since_s, self.reach.connected_s)
-            self.reference.check(self.mount, at, now_s, since_s, blind=bool(self.blind), live=self._live(now_s))
+            self.count_check.check(self.mount, at, now_s, since_s, blind=bool(self.blind), live=self._live(now_s))
 
     def _check_target(self, target: tuple[float, float]) -> None:
         control, now_s = self.mount.control, self.now_s
-        check_asked_for(self.mount, target, self.fails)
+        check_target(self.mount, target, self.add_violation)
         if self._being_sent:
-            self.fails("two-targets", f"{target} is sent while another target is being sent")
-        itself = now_s - self._self_moved_s < 10.0 or self.explained.by_hand(now_s)
+            self.add_violation("two-targets", f"{target} is sent while another target is being sent")
+        itself = now_s - self._self_moved_s < 10.0 or self.active_orders.by_hand(now_s)
         seen = self._pose is not None and self._counts("a", self._pose.a_deg) and self._counts("b", self._pose.b_deg)
         # Without Hall pulses an axis seems to stand, until the unit notices.
         moves = any(moves for axis, moves in self.moving.items() if axis not in self.blind)
-        if moves and now_s - self._sampled_s <= SAMPLING_S and seen and not itself and self._live(now_s):
-            self.fails("two-targets", f"{target} is sent while an axis moves ({self.moving})")
+        if moves and now_s - self._sampled_s <= SAMPLING_MARGIN_S and seen and not itself and self._live(now_s):
+            self.add_violation("two-targets", f"{target} is sent while an axis moves ({self.moving})")
         if self._stop_s is not None and self.mount.is_served and now_s > self._stop_s:
-            self.fails("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
-        self.decided.check(self.mount, target, now_s, self.reach.begun_s)
+            self.add_violation("moves-under-stop", f"{target} is sent under a stop; mode {control.mode}: {control.why}")
+        self.decision_check.check(self.mount, target, now_s, self.reach.begun_s)

@@ -5,7 +5,7 @@ import importlib.util
 
 import pytest
 
-from daemon.base.alarms.kinds import KINDS, Severity, as_typed, kind_of_alarm
+from daemon.base.alarms.kinds import KINDS, Severity, kind_of_alarm, with_tracker_option
 from tests.support import DOCS, ROOT
 
 
@@ -72,5 +72,5 @@ def test_the_alarms_page_in_docs_is_current():
     ],
 )
 def test_commands_named_in_alarm_texts_get_the_tracker_option_where_there_are_several_trackers(text, typed):
-    assert as_typed(text, "east") == typed
-    assert as_typed(text, None) == text
+    assert with_tracker_option(text, "east") == typed
+    assert with_tracker_option(text, None) == text

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from daemon.archive.address import connected, parse_archive
+from daemon.archive.address import connect_to_archive, parse_archive
 from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
@@ -65,7 +65,7 @@ def test_the_temporary_copy_of_an_archive_is_removed_when_the_terminals_connecti
 
 def test_an_interruption_of_a_database_transaction_logs_no_message_of_the_library(database, caplog):
     def interrupted():
-        with connected(parse_archive(database), "a test") as connection, connection.transaction():
+        with connect_to_archive(parse_archive(database), "a test") as connection, connection.transaction():
             # As if the interruption came just between a question and the wait for its answer.
             connection.pgconn.send_query(b"SELECT pg_sleep(0.1)")
             raise KeyboardInterrupt

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from daemon.bridge.signing import generate_key, load_key, write_key
 from daemon.commands.main import app
-from daemon.commands.setup.command import LEFT
+from daemon.commands.setup.command import INTERRUPTED_EXIT_CODE
 from daemon.commands.setup.finish import start_lines
 from daemon.commands.setup.kept import load_answers
 from daemon.config.file import load_settings
@@ -104,7 +104,7 @@ def test_setup_on_a_full_disk_leaves_the_existing_configuration_unchanged(setup,
 def test_setup_leaves_at_the_end_of_its_input_and_the_same_command_continues_later(setup, tmp_path):
     file = tmp_path / "rig" / "cube.toml"
     left = setup(file, *CUBE[:4])
-    assert left.exit_code == LEFT
+    assert left.exit_code == INTERRUPTED_EXIT_CODE
     assert "Left." in left.output
     assert not file.exists()
     done = setup(file, *CUBE[4:], "new", options=())
@@ -117,27 +117,27 @@ def test_setup_leaves_at_the_end_of_its_input_and_the_same_command_continues_lat
 
 def test_setup_refuses_another_role_than_its_kept_answers_have_and_keeps_them_unchanged(setup, tmp_path):
     file = tmp_path / "cube.toml"
-    assert setup(file, "real", options=("--role", "both")).exit_code == LEFT
+    assert setup(file, "real", options=("--role", "both")).exit_code == INTERRUPTED_EXIT_CODE
     kept = (tmp_path / "cube.setup.json").read_text()
     other = setup(file, *CUBE)
     assert str(other.exception).startswith("--role cube: the answers from before in ")
     assert "are for the role both; leave --role out to go on with them, or begin with --anew" in str(other.exception)
     assert (tmp_path / "cube.setup.json").read_text() == kept
-    assert setup(file, options=("--role", "both")).exit_code == LEFT
+    assert setup(file, options=("--role", "both")).exit_code == INTERRUPTED_EXIT_CODE
 
 
 def test_setup_refuses_kept_answers_for_a_missing_bench_and_names_the_way_out(setup, tmp_path):
     file, bench = tmp_path / "rig.toml", tmp_path / "bench" / "heliocube.toml"
     bench.parent.mkdir()
     bench.write_text("[instruments]\nkind = 'real'\nbench = true\n")
-    assert setup(file, "bench", str(bench.parent), options=("--role", "both")).exit_code == LEFT
+    assert setup(file, "bench", str(bench.parent), options=("--role", "both")).exit_code == INTERRUPTED_EXIT_CODE
     bench.unlink()
     for options in ((), ("--role", "both")):
         gone = str(setup(file, options=options).exception)
         assert gone.startswith(f"the answers from before in {tmp_path / 'rig.setup.json'} are for a bench, and")
         assert gone.endswith("start the bench again, or begin with --anew")
     assert "are for the role both" in str(setup(file, options=("--role", "cube")).exception)
-    assert setup(file, options=("--anew",)).exit_code == LEFT
+    assert setup(file, options=("--anew",)).exit_code == INTERRUPTED_EXIT_CODE
 
 
 def test_setup_offers_no_default_for_the_example_site_of_the_installed_configuration(setup, tmp_path):
@@ -180,7 +180,7 @@ def test_setup_advises_starting_an_installed_service_by_its_unit_and_holding_the
 @pytest.fixture
 def installed(monkeypatch, tmp_path):
     """The folder of configurations of an installed machine, each file with the unit that reads it."""
-    monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
+    monkeypatch.setattr("daemon.commands.options.CONFIG_FOLDER", tmp_path)
     return tmp_path
 
 
@@ -219,7 +219,7 @@ def test_setup_asks_again_after_a_letter_in_another_encoding_than_the_terminals(
         check=False,
         env=os.environ | {"PYTHONIOENCODING": encoding},
     )
-    assert (done.returncode, done.stderr) == (LEFT, b"")
+    assert (done.returncode, done.stderr) == (INTERRUPTED_EXIT_CODE, b"")
     assert b"or a letter" in done.stdout
     assert load_answers(tmp_path / "rig.setup.json").answers["site.name"] == "Cafe"
 
@@ -230,5 +230,5 @@ def test_a_pipe_in_place_of_the_kept_answers_is_refused_unless_setup_begins_anew
     os.mkfifo(answers)
     refused = str(setup(tmp_path / "rig.toml").exception)
     assert refused == f"{answers} is no ordinary file, but a device or a pipe: remove it, or begin with --anew"
-    assert setup(tmp_path / "rig.toml", "real", options=("--anew",)).exit_code == LEFT
+    assert setup(tmp_path / "rig.toml", "real", options=("--anew",)).exit_code == INTERRUPTED_EXIT_CODE
     assert answers.is_file()

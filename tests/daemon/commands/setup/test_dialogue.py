@@ -11,7 +11,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.setup.dialogue import SetupDialogue
-from daemon.commands.setup.kept import SetupAnswers, keep_answers, load_answers, place_of_answers
+from daemon.commands.setup.kept import SetupAnswers, answers_path, keep_answers, load_answers
 from daemon.commands.setup.steps import MOVE, SKIPPED
 from daemon.config import keys
 from tests.support import ROOT
@@ -27,19 +27,19 @@ def file(tmp_path):
 def dialogue_of(file, *answers):
     dialogue = SetupDialogue(SetupAnswers(), file)
     for answer in answers:
-        dialogue.take(answer)
+        dialogue.take_answer(answer)
     return dialogue
 
 
 def walk(dialogue, needed, moved=SKIPPED, until=None):
     """Answer every question up to a step: by `needed` or Enter, and an action by its outcome."""
     names = []
-    while (step := dialogue.step()) is not None and step.name != until:
+    while (step := dialogue.current_step()) is not None and step.name != until:
         names.append(step.name)
         if step.kind == "action":
-            dialogue.settle(moved)
+            dialogue.set_answer(moved)
         else:
-            dialogue.take(needed.get(step.name, ""))
+            dialogue.take_answer(needed.get(step.name, ""))
     return names
 
 
@@ -97,7 +97,7 @@ def test_setup_of_a_real_rig_takes_nothing_from_the_file_of_a_bench(file):
     file.write_text(A_BENCHS_FILE)
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until="instruments.positioner.port")
-    assert dialogue.offered() is None
+    assert dialogue.default_answer() is None
     walk(dialogue, POZSOL)
     assert not [path for path in dialogue.values() if path.startswith("simulation.")]
     assert not dialogue.settings().instruments.bench
@@ -107,11 +107,11 @@ def test_setup_of_a_bench_refuses_an_existing_file_of_another_rig(file, bench):
     file.write_text("[mqtt]\nenabled = true\nhost = 'broker'\n")
     dialogue = dialogue_of(file, "tracker")
     with pytest.raises(UserError, match="practise with another file"):
-        dialogue.take("bench")
-    dialogue.take("real")
+        dialogue.take_answer("bench")
+    dialogue.take_answer("real")
     assert dialogue.settings().mqtt.enabled
     again = dialogue_of(bench / "heliocube.toml", "tracker", "bench", str(bench))
-    assert again.known.basis["instruments.positioner.port"] == "/bench/positioner"
+    assert again.context.file_values["instruments.positioner.port"] == "/bench/positioner"
 
 
 def test_setup_offers_nothing_of_the_bench_after_going_back_to_a_real_rig(file, bench):
@@ -120,9 +120,9 @@ def test_setup_offers_nothing_of_the_bench_after_going_back_to_a_real_rig(file, 
     while dialogue.back():
         pass
     for answer in ("tracker", "real", *SITE):
-        dialogue.take(answer)
+        dialogue.take_answer(answer)
     walk(dialogue, POZSOL, until="instruments.positioner.port")
-    assert dialogue.offered() is None
+    assert dialogue.default_answer() is None
 
 
 @pytest.mark.parametrize(
@@ -162,11 +162,11 @@ def test_setup_asks_for_the_address_of_the_instrument_of_each_cube_driver(file, 
 )
 def test_a_wrong_answer_in_setup_is_refused_at_once_in_one_sentence_and_changes_nothing(file, before, answer, sentence):
     dialogue = dialogue_of(file, *before)
-    kept = dialogue.kept
+    kept = dialogue.saved_answers
     with pytest.raises(UserError, match=sentence) as refusal:
-        dialogue.take(answer)
+        dialogue.take_answer(answer)
     assert "\n" not in str(refusal.value)
-    assert dialogue.kept == kept
+    assert dialogue.saved_answers == kept
 
 
 def test_numbers_are_taken_with_their_units(file):
@@ -189,7 +189,7 @@ def test_numbers_are_taken_with_their_units(file):
     ],
 )
 def test_units_are_taken_as_people_write_them(name, said, meant):
-    assert keys.number_with_unit(said, keys.keys()[name]) == meant
+    assert keys.parse_quantity(said, keys.keys()[name]) == meant
 
 
 def test_a_number_typed_with_its_unit_keeps_all_its_digits(file):
@@ -204,17 +204,17 @@ def test_limits_that_contradict_each_other_are_refused_where_they_are_answered(f
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until="limits.a_max_deg")
     with pytest.raises(UserError, match=r"must be below limits\.a_max_deg"):
-        dialogue.take("-10")
+        dialogue.take_answer("-10")
 
 
 def test_the_inputs_of_the_faces_are_taken_in_any_order_and_each_only_once(file):
     dialogue = dialogue_of(file, "cube", "real", *SITE)
     walk(dialogue, {**METER, "cube.east.channel": "1", "cube.south.channel": "0"}, until="cube.zenith.channel")
     with pytest.raises(UserError, match=r"is the input of cube\.east\.channel already"):
-        dialogue.take("1")
+        dialogue.take_answer("1")
     walk(dialogue, {"bridge.send_to": "10.0.0.5:20571"})
     assert [getattr(dialogue.settings().cube, face).channel for face in FACES] == [1, 0, 2, 3]
-    while dialogue.back() and dialogue.step().name != "cube.east.channel":
+    while dialogue.back() and dialogue.current_step().name != "cube.east.channel":
         pass
     walk(dialogue, {"cube.east.channel": "3", "cube.zenith.channel": "1"})
     assert [getattr(dialogue.settings().cube, face).channel for face in FACES] == [3, 0, 2, 1]
@@ -245,7 +245,7 @@ def test_setup_names_a_setting_it_does_not_ask_for_when_an_answer_contradicts_it
     walk(dialogue, POZSOL, until=asked)
     words = f"{other} is not asked for here: give an answer that fits it, and change both"
     with pytest.raises(UserError, match=words) as said:
-        dialogue.take(answer)
+        dialogue.take_answer(answer)
     assert str(said.value).startswith(f"{other} = ")
 
 
@@ -269,43 +269,43 @@ def test_setup_offers_no_bridge_address_that_ends_on_this_machine_for_a_rig_of_t
     way = "bridge.send_to" if role == "cube" else "bridge.listen"
     dialogue = dialogue_of(file, role, "real", *SITE)
     walk(dialogue, {**METER, **POZSOL}, until=way)
-    assert dialogue.offered() == offered
+    assert dialogue.default_answer() == offered
 
 
 def test_setup_of_a_bench_offers_a_loopback_bridge_address(file, bench):
     (bench / "heliocube.toml").write_text(A_BENCHS_FILE + "[bridge]\nlisten = '127.0.0.1:20571'\n")
     dialogue = dialogue_of(file, "tracker", "bench", str(bench), *SITE)
     walk(dialogue, {}, until="bridge.listen")
-    assert dialogue.offered() == "127.0.0.1:20571"
+    assert dialogue.default_answer() == "127.0.0.1:20571"
 
 
 def test_setup_offers_the_earlier_answer_after_going_back(file):
     dialogue = dialogue_of(file, "tracker", "real", "Roof", "48.7")
     assert dialogue.back()
-    assert (dialogue.step().name, dialogue.offered()) == ("site.latitude_deg", 48.7)
-    dialogue.take("-33.9")
+    assert (dialogue.current_step().name, dialogue.default_answer()) == ("site.latitude_deg", 48.7)
+    dialogue.take_answer("-33.9")
     assert dialogue.settings().site.latitude_deg == -33.9
     while dialogue.back():
         pass
-    assert dialogue.step().name == "role"
+    assert dialogue.current_step().name == "role"
 
 
 def test_setup_continues_where_it_was_left(file):
     dialogue = dialogue_of(file, "tracker", "real", "Roof", "48.7")
     dialogue.back()
-    place = place_of_answers(file)
+    place = answers_path(file)
     assert place.name == "tracker.setup.json"
-    keep_answers(place, dialogue.kept)
+    keep_answers(place, dialogue.saved_answers)
     again = SetupDialogue(load_answers(place), file)
-    assert again.step() == dialogue.step()
-    assert again.offered() == 48.7
+    assert again.current_step() == dialogue.current_step()
+    assert again.default_answer() == 48.7
 
 
 @pytest.mark.parametrize("text", ["", "{}}", '{"form": 2}', '{"answers": {"role": {}}}'])
 def test_answers_that_cannot_be_read_are_refused_with_the_remedy(file, text):
-    place_of_answers(file).write_text(text)
+    answers_path(file).write_text(text)
     with pytest.raises(UserError, match="begin with --anew"):
-        load_answers(place_of_answers(file))
+        load_answers(answers_path(file))
 
 
 def test_an_existing_file_gives_setup_its_defaults_except_for_wide_limits(file):
@@ -327,11 +327,11 @@ def test_setup_checks_the_key_file_of_the_other_machine(file):
     dialogue = dialogue_of(file, "tracker", "real", *SITE)
     walk(dialogue, POZSOL, until="key")
     with pytest.raises(UserError, match="does not exist"):
-        dialogue.take("carried.key")
+        dialogue.take_answer("carried.key")
     with pytest.raises(UserError, match="there is no such user; write the whole path"):
-        dialogue.take("~nosuch/carried.key")
+        dialogue.take_answer("~nosuch/carried.key")
     write_key(file.parent / "carried.key", generate_key())
-    dialogue.take("carried.key")
+    dialogue.take_answer("carried.key")
     assert dialogue.key_file() == "carried.key"
 
 
@@ -352,8 +352,8 @@ def test_setup_takes_half_of_the_measured_speed_as_the_slowest_speed(file):
 def test_setup_takes_any_typed_text_as_an_answer_or_refuses_it_with_a_user_error(tmp_path_factory, typed):
     dialogue = SetupDialogue(SetupAnswers(), tmp_path_factory.getbasetemp() / "nothing.toml")
     for text in typed:
-        if dialogue.step().kind == "action":
-            dialogue.settle(SKIPPED)
+        if dialogue.current_step().kind == "action":
+            dialogue.set_answer(SKIPPED)
         with contextlib.suppress(UserError):
-            dialogue.take(text)
+            dialogue.take_answer(text)
     assert dialogue.settings().real

@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.clock import LoopClock
 from daemon.base.timeloop import VirtualTimeLoop
-from daemon.commands.setup.first_move import Bounds, Leg, first_move, ready
+from daemon.commands.setup.first_move import Bounds, Leg, first_move, reason_not_to_move
 from daemon.config.settings import Settings
 from daemon.rigs.simulated import build_simulated_positioner
 from drivers.errors import DeviceError, LinkLostError
@@ -168,13 +168,13 @@ def test_a_positioner_outside_the_limits_is_not_moved():
 
 def test_a_positioner_that_contradicts_the_configuration_or_is_not_ready_is_not_moved():
     seen = telemetry()
-    assert "contradicts" in ready(seen, ("arm 1 is 300 and not 310",), NARROW)
-    assert "homed" in ready(replace(seen, was_reset=True), (), NARROW)
-    assert "homed" in ready(replace(seen, faults=("a_overcurrent",)), (), NARROW)
-    assert "homed" in ready(replace(seen, reference_doubt="the count jumped"), (), NARROW)
-    assert "of its own" in ready(replace(seen, autonomous=True), (), NARROW)
-    assert "outside" in ready(replace(seen, a_deg=math.nan), (), NARROW)
-    assert ready(seen, (), NARROW) is None
+    assert "contradicts" in reason_not_to_move(seen, ("arm 1 is 300 and not 310",), NARROW)
+    assert "homed" in reason_not_to_move(replace(seen, was_reset=True), (), NARROW)
+    assert "homed" in reason_not_to_move(replace(seen, faults=("a_overcurrent",)), (), NARROW)
+    assert "homed" in reason_not_to_move(replace(seen, reference_doubt="the count jumped"), (), NARROW)
+    assert "of its own" in reason_not_to_move(replace(seen, autonomous=True), (), NARROW)
+    assert "outside" in reason_not_to_move(replace(seen, a_deg=math.nan), (), NARROW)
+    assert reason_not_to_move(seen, (), NARROW) is None
 
 
 def telemetry(a_deg=0.0, b_deg=90.0):

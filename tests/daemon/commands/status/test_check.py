@@ -9,10 +9,10 @@ from daemon.base.errors import ExitCode
 from daemon.base.records import Mode
 from daemon.commands.status.check import page, verdict
 from daemon.commands.status.screen import alarm_state
-from daemon.commands.status.times import moment
+from daemon.commands.status.times import local_and_utc_time
 from tests.daemon.commands.status.test_times import place
 from tests.support.api import serve
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 
 __all__ = ["place", "serve"]
 
@@ -48,7 +48,10 @@ def test_status_check_is_good_during_a_persons_stop_and_reports_alarms_and_a_los
         assert code == ExitCode.ALARMS
         assert lines[0] == "works, but 2 to look at: SIMULATED, hold, STOPPED by a person"
         cube = next(line for line in lines if line.startswith("cube: voltmeter"))
-        assert f"; the last scan is of {moment(found[0]['scan']['time'])}; check supply, cables and adapters" in cube
+        assert (
+            f"; the last scan is of {local_and_utc_time(found[0]['scan']['time'])}; check supply, cables and adapters"
+            in cube
+        )
         (alarm,) = (
             line
             for line in lines
@@ -63,7 +66,7 @@ def test_status_check_is_good_during_a_persons_stop_and_reports_alarms_and_a_los
 
 def test_status_check_lists_the_most_urgent_alarm_first_and_cleared_ones_last(serve):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.tracker.alarms.set("move-failed", "a move failed")
         rig.tracker.alarms.set("move-failed", None)
         await rig.control.stop("repair", "ana")
@@ -84,7 +87,7 @@ def test_status_check_lists_the_most_urgent_alarm_first_and_cleared_ones_last(se
 @pytest.mark.usefixtures("place")
 def test_status_check_names_a_cause_once_in_local_time_and_also_a_stop_during_a_fault(serve):
     async def scenario(rig, call):
-        await under_way(rig)
+        await wait_for_move(rig)
         rig.cables.positioner.link_up = False
         await asyncio.sleep(120)
         lines, _ = verdict(*await both(call))

@@ -13,23 +13,23 @@ from rich.console import Console
 
 from daemon.base.errors import UserError
 from daemon.base.records import Event, Mode
-from daemon.commands.status.command import of_one
+from daemon.commands.status.command import select_tracker
 from daemon.commands.status.live import LiveView
-from daemon.commands.status.screen import line, live_screen, render
-from daemon.commands.status.times import moment
-from daemon.service.recent import Recent
+from daemon.commands.status.screen import live_screen, render, status_line
+from daemon.commands.status.times import local_and_utc_time
+from daemon.service.recent import RecentRecords
 from daemon.service.state import state_json
 from tests.daemon.commands.status.test_times import place
-from tests.support.phases import under_way
+from tests.support.phases import wait_for_move
 
 __all__ = ["place"]
 
 
 def view_of(rig, console):
-    recent = Recent()
+    recent = RecentRecords()
     rig.bus.subscribe(recent.note)
     # As on a rig at ten times real speed: drawing a screen takes longer than everything else here.
-    return LiveView(lambda: state_json(rig.see(recent)), console, speed=10.0 if console.is_terminal else 1.0)
+    return LiveView(lambda: state_json(rig.take_snapshot(recent)), console, speed=10.0 if console.is_terminal else 1.0)
 
 
 def shown(run_rig, *, terminal, faults=(), why=None):
@@ -76,17 +76,17 @@ def test_a_terminal_shows_a_fault_and_the_unplugged_devices(run_rig):
 
 def test_the_status_line_marks_an_implausible_face_and_a_stale_pose(run_rig):
     async def scenario(rig):
-        await under_way(rig)
+        await wait_for_move(rig)
         await asyncio.sleep(600)
         rig.scene.break_sensor(1, 0.0)
         rig.cables.positioner.link_up = False
         await asyncio.sleep(600)
-        told = line(state_json(rig.see(rig.recent)))
+        told = status_line(state_json(rig.take_snapshot(rig.recent)))
         assert re.search(r"E \d+\.\d S 0\.0 implausible W \d+\.\d Z \d+\.\d \|", told)
         assert re.search(r"A [-+]\d+\.\d, B \d+\.\d deg  STALE, 10 min old \|", told)
 
     def prepare(rig):
-        rig.recent = Recent()
+        rig.recent = RecentRecords()
         rig.bus.subscribe(rig.recent.note)
         return scenario(rig)
 
@@ -96,7 +96,7 @@ def test_the_status_line_marks_an_implausible_face_and_a_stale_pose(run_rig):
 def test_alarms_are_shown_on_a_terminal_and_in_plain_lines(run_rig):
     async def scenario(rig):
         out, plain = io.StringIO(), io.StringIO()
-        await under_way(rig)
+        await wait_for_move(rig)
         screens = [
             Console(file=out, force_terminal=True, width=200, height=40),
             Console(file=plain, force_terminal=False, width=200),
@@ -124,7 +124,7 @@ def test_details_of_a_positioner_make_are_shown_and_cannot_control_the_terminal(
         rig.positioner.read_telemetry = of_another_make
         await rig.until_mode(Mode.TRACKING, 120)
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(state_json(rig.see())))
+        console.print(render(state_json(rig.take_snapshot())))
         assert "oil degc 41.5, brake state ?[2Joff, tilt deg -" in console.file.getvalue()
 
     run_rig(scenario)
@@ -137,7 +137,7 @@ def test_details_of_a_positioner_make_are_shown_and_cannot_control_the_terminal(
 def test_the_heading_names_the_tracker_that_has_a_name(run_rig, mqtt, heading):
     async def scenario(rig):
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(state_json(rig.see())))
+        console.print(render(state_json(rig.take_snapshot())))
         assert console.file.getvalue().splitlines()[0] == heading
 
     run_rig(scenario, mqtt=mqtt)
@@ -147,7 +147,7 @@ def test_the_status_screen_names_each_of_several_sources_of_stow(run_rig):
     async def scenario(rig):
         rig.wind_m_s = 5.2
         await asyncio.sleep(10)
-        state = state_json(rig.see())
+        state = state_json(rig.take_snapshot())
         (source,) = state["wind"]
         state["wind"].append(source | {"name": "the wind on lab/mast", "speed_m_s": None, "age_s": None})
         console = Console(file=io.StringIO(), width=80)
@@ -161,7 +161,7 @@ def test_the_status_screen_names_each_of_several_sources_of_stow(run_rig):
 def test_without_a_terminal_a_plain_status_line_is_printed_now_and_then(run_rig):
     lines = shown(run_rig, terminal=False).splitlines()
     assert len(lines) > 10
-    assert all("SIMULATED" in line and "\x1b" not in line for line in lines)
+    assert all("SIMULATED" in status_line and "\x1b" not in status_line for status_line in lines)
     assert "tracking: the cube's readings are good" in lines[-1]
 
 
@@ -180,43 +180,47 @@ def test_the_status_screen_has_a_block_per_tracker_and_alarms_with_tracker_names
         await west.control.stop("repair", "ana")
         await west.control.stop("a noise", "bob")
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(state_json(rig.see())))
+        console.print(render(state_json(rig.take_snapshot())))
         assert re.search(r"wind +3\.2 m/s, stow from 15 m/s, \d\.\d s old", console.file.getvalue())
         rig.wind_m_s = 20.0
         await asyncio.sleep(20)
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(state_json(rig.see())))
+        console.print(render(state_json(rig.take_snapshot())))
         stowing = r"wind +20\.0 m/s, .* STOWS: wind 20\.0 m/s, stow from 15 m/s; ends after \d+ min more of calm"
         assert re.search(stowing, console.file.getvalue())
-        lines = [line.strip() for line in console.file.getvalue().splitlines()]
+        lines = [status_line.strip() for status_line in console.file.getvalue().splitlines()]
         assert lines.index("east") < lines.index("west")
         own = lines[lines.index("west") :]
-        assert next(line for line in own if line.startswith("mode")).split()[1] == "hold"
-        assert re.match(r"mode +hold STOPPED since ", next(line for line in own if line.startswith("mode")))
-        stops = [line for line in own if line.startswith("stop")]
-        assert [re.sub(r"\d.* UTC\)?", "T", line).split(maxsplit=1)[1] for line in stops] == [
+        assert next(status_line for status_line in own if status_line.startswith("mode")).split()[1] == "hold"
+        assert re.match(
+            r"mode +hold STOPPED since ", next(status_line for status_line in own if status_line.startswith("mode"))
+        )
+        stops = [status_line for status_line in own if status_line.startswith("stop")]
+        assert [re.sub(r"\d.* UTC\)?", "T", status_line).split(maxsplit=1)[1] for status_line in stops] == [
             "by ana since T: repair",
             "also by bob since T: a noise",
         ]
-        alarm = next(number for number, line in enumerate(lines) if line.startswith("alarm"))
+        alarm = next(number for number, status_line in enumerate(lines) if status_line.startswith("alarm"))
         assert "west: stow is wanted" in lines[alarm]
-        remedy = next(line for line in lines[alarm:] if line.startswith("remedy  "))
+        remedy = next(status_line for status_line in lines[alarm:] if status_line.startswith("remedy  "))
         assert remedy.endswith("then 'heliocube auto --tracker west'")
-        assert next(line for line in own if line.startswith("mode")).endswith("'heliocube auto --tracker west'")
+        assert next(status_line for status_line in own if status_line.startswith("mode")).endswith(
+            "'heliocube auto --tracker west'"
+        )
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(of_one(state_json(rig.see()), "east")))
+        console.print(render(select_tracker(state_json(rig.take_snapshot()), "east")))
         alone = console.file.getvalue()
         assert re.search(r"^east\s*$", alone, re.MULTILINE)
         assert "west: " not in alone
         assert not re.search(r"^west\s*$", alone, re.MULTILINE)
         assert re.search(r"^scan ", alone, re.MULTILINE)
-        one = of_one(state_json(rig.see()), "west")
+        one = select_tracker(state_json(rig.take_snapshot()), "west")
         assert list(one["trackers"]) == ["west"]
         assert [alarm["name"] for alarm in one["alarms"]] == ["stow-wanted"]
         console.print(render(one))
         assert "'heliocube auto --tracker west'" in console.file.getvalue()
         with pytest.raises(UserError, match="there is no tracker 'wset'; the trackers are east, west"):
-            of_one(one | {"trackers": {"east": {}, "west": {}}}, "wset")
+            select_tracker(one | {"trackers": {"east": {}, "west": {}}}, "wset")
 
     run_rig(scenario, tracker=[{"name": "east"}, {"name": "west"}])
 
@@ -228,10 +232,14 @@ def test_a_stop_from_the_day_before_is_shown_with_its_date_after_a_restart_too(r
     async def scenario(rig):
         await rig.until_mode(Mode.HOLD, 60)
         console = Console(file=io.StringIO(), width=160)
-        console.print(render(state_json(rig.see())))
-        rows = [line for line in console.file.getvalue().splitlines() if line.startswith(("mode", "stop"))]
+        console.print(render(state_json(rig.take_snapshot())))
+        rows = [
+            status_line
+            for status_line in console.file.getvalue().splitlines()
+            if status_line.startswith(("mode", "stop"))
+        ]
         assert len(rows) == 2
-        assert all(moment("2022-10-11T16:12:00.000Z", "2022-10-12T10:00:00.000Z") in row for row in rows)
+        assert all(local_and_utc_time("2022-10-11T16:12:00.000Z", "2022-10-12T10:00:00.000Z") in row for row in rows)
 
     run_rig(scenario, store={"directory": tmp_path})
 
@@ -241,14 +249,14 @@ def test_a_stop_from_the_day_before_is_shown_with_its_date_after_a_restart_too(r
 @pytest.mark.usefixtures("place")
 def test_times_in_the_sentences_of_a_service_are_shown_in_local_time_too(run_rig, screen):
     async def scenario(rig):
-        recent = Recent()
+        recent = RecentRecords()
         rig.bus.subscribe(recent.note)
-        await under_way(rig)
+        await wait_for_move(rig)
         await rig.control.stop("repair", "ana")
         rig.cables.positioner.link_up = False
         await asyncio.sleep(120)
         console = Console(file=io.StringIO(), width=200, height=60)
-        console.print(screen(state_json(rig.see(recent))))
+        console.print(screen(state_json(rig.take_snapshot(recent))))
         text = console.file.getvalue()
         told = r"stopped by ana since 12:0\d:\d\d \(10:0\d:\d\d UTC\): repair"
         assert re.search(rf"mode +fault since .*{told}", text)
@@ -261,14 +269,14 @@ def test_a_small_terminal_shows_the_newest_news_and_leaves_out_the_oldest(run_ri
     out = io.StringIO()
 
     async def scenario(rig):
-        recent = Recent()
+        recent = RecentRecords()
         rig.bus.subscribe(recent.note)
         await rig.until_mode(Mode.TRACKING, 120)
         for text in [f"event {number}" for number in range(9)]:
             rig.bus.publish(Event(rig.clock.utc(), rig.clock.monotonic(), "operator", text))
         for height in (24, 60):
             console = Console(file=out, force_terminal=False, width=80, height=height)
-            console.print(live_screen(state_json(rig.see(recent))))
+            console.print(live_screen(state_json(rig.take_snapshot(recent))))
             out.write("END")
 
     run_rig(scenario)

@@ -10,10 +10,10 @@ from rich.live import Live
 
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
-from daemon.commands.status.log_above import LogAbove
+from daemon.commands.status.log_above import ScreenLogStream
 from daemon.commands.status.screen import render
 from daemon.commands.status.watch import watch
-from daemon.service.recent import News, Recent
+from daemon.service.recent import News, RecentRecords
 from daemon.service.state import state_json
 
 
@@ -47,7 +47,7 @@ def state(run_rig):
 
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
-        found.append(state_json(rig.see(Recent())))
+        found.append(state_json(rig.take_snapshot(RecentRecords())))
 
     run_rig(scenario)
     return found[0]
@@ -77,7 +77,7 @@ def test_a_log_warning_is_printed_above_the_live_screen_which_is_erased_and_draw
     with Live("first\nsecond", console=console, auto_refresh=False) as live:
         live.refresh()
         begun = console.file.tell()
-        LogAbove(console).write("WARNING [bold]a wire is loose[/bold]\n")
+        ScreenLogStream(console).write("WARNING [bold]a wire is loose[/bold]\n")
         drawn = console.file.getvalue()[begun:]
     taken_away, warning, again = drawn.partition("WARNING [bold]a wire is loose[/bold]\n")
     assert warning
@@ -110,11 +110,11 @@ def test_received_light_is_shown_in_a_unit_that_tells_it_apart_from_the_chronome
 def test_news_is_dated_and_fits_the_terminal(run_rig):
     async def scenario(rig):
         await rig.until_mode(Mode.TRACKING, 120)
-        recent = Recent()
+        recent = RecentRecords()
         for hour, text in [(8, "first"), (9, "second"), (10, "third " * 20)]:
             recent.news.append(News(datetime(2022, 10, 12, hour, tzinfo=UTC).timestamp(), text))
         console = Console(file=io.StringIO(), width=80)
-        console.print(render(state_json(rig.see(recent))))
+        console.print(render(state_json(rig.take_snapshot(recent))))
         lines = console.file.getvalue().splitlines()
         first = next(number for number, line in enumerate(lines) if "first" in line)
         assert "second" in lines[first + 1]

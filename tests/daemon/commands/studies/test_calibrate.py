@@ -10,7 +10,7 @@ import pytest
 
 from daemon.base.records import FACES, FaceReading, Quality, Scan
 from daemon.cube.calibration import read_calibration
-from daemon.store.schema import FILE_NAME, Rows, open_for_writing
+from daemon.store.schema import FILE_NAME, RowConverter, open_for_writing
 from sim_drivers.scene import FaceGeometry, Scene, SensorModel
 from sim_drivers.weather import GeneratedWeather
 from solar.calibration.attitude import attitude, face_orientations
@@ -81,7 +81,7 @@ def fill_store(folder, utc_s, faces, identifier="", simulated=0):
     with closing(open_for_writing(folder / FILE_NAME)) as store:
         store.execute("BEGIN")
         store.execute("INSERT INTO runs VALUES (1, 0, 'both', '0', ?, 'SIRTA', 48.7, 2.2, 156, '', '')", (simulated,))
-        rows = Rows(Scan)
+        rows = RowConverter(Scan)
         for number, (now, row) in enumerate(zip(utc_s.tolist(), faces.tolist(), strict=True)):
             readings = [FaceReading(value, Quality.OK, now, now) for value in row]
             scan = Scan("cube", "s", number, now, now, *readings, calibration=identifier)

@@ -37,8 +37,8 @@ def test_two_trackers_under_one_sky_follow_their_own_laws(compare, tmp_path):
     assert ratio == pytest.approx(1 / ((1 + np.cos(tilt)) / 2 + 0.2 * (1 - np.cos(tilt)) / 2), abs=0.02)
 
 
-def test_a_simulated_comparison_ended_by_sigterm_leaves_no_file(compare, tmp_path, signal_at_once):
-    signal_at_once(signal.SIGTERM)
+def test_a_simulated_comparison_ended_by_sigterm_leaves_no_file(compare, tmp_path, signal_at_first_progress):
+    signal_at_first_progress(signal.SIGTERM)
     code, _, err = compare("simulate", "--start", "2022-10-14T11:00", "--days", "0.02", "--out", tmp_path)
     assert (code, err) == (130, "heliocube: interrupted before its end; no whole result was written\n")
     assert list(tmp_path.iterdir()) == []

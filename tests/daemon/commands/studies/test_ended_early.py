@@ -35,14 +35,16 @@ def _two_sites(tmp_path, monkeypatch):
         ("compare paper --out out", NOTHING),
     ],
 )
-def test_a_study_ended_by_sigterm_exits_with_130_and_says_what_was_written(heliocube, signal_at_once, words, told):
-    signal_at_once(signal.SIGTERM)
+def test_a_study_ended_by_sigterm_exits_with_130_and_says_what_was_written(
+    heliocube, signal_at_first_progress, words, told
+):
+    signal_at_first_progress(signal.SIGTERM)
     code, _, said = heliocube(*words.split())
     assert (code, said.splitlines()[-1]) == (130, f"heliocube: {told}")
 
 
-def test_a_campaign_ended_by_sigterm_reports_the_schedules_that_are_done(heliocube, signal_at_once):
-    signal_at_once(signal.SIGTERM)
+def test_a_campaign_ended_by_sigterm_reports_the_schedules_that_are_done(heliocube, signal_at_first_progress):
+    signal_at_first_progress(signal.SIGTERM)
     code, told, _ = heliocube("campaign", "--seeds", "2", "--hours", "0.1")
     assert code == 130
     assert told.startswith("1 schedule, 0.1 h of virtual time")

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from daemon.commands.main import main
-from daemon.studies.energy.benchmark import measured_minutes
+from daemon.studies.energy.benchmark import read_minute_weather
 from solar.ephemeris import Site
 
 pytestmark = pytest.mark.slow
@@ -108,7 +108,7 @@ def test_the_time_between_two_weather_files_is_bridged_as_within_one_file(tmp_pa
         files = [tmp_path / f"{part[0][:13]}.csv" for part in parts]
         for file, part in zip(files, parts, strict=True):
             file.write_text("\n".join(["time,ghi,dni,dhi", *part]))
-        found.append(measured_minutes(files, Site(55.79, 12.53, 50.0)))
+        found.append(read_minute_weather(files, Site(55.79, 12.53, 50.0)))
     whole, halves, with_a_gap = found
     for name in ("utc_s", "dni_w_m2", "dhi_w_m2"):
         assert (getattr(halves, name) == getattr(whole, name)).all()

@@ -15,7 +15,7 @@ from daemon.base.records import Pose
 from daemon.commands.main import main
 from daemon.config.settings import Settings
 from daemon.store.settings_kept import tell_changes
-from tests.support.stored_day import FLAGGED, GAP, STRANGER, T0, faces_of, instants, opened, stored_days
+from tests.support.stored_day import FLAGGED, GAP, HOSTILE_NAME, T0, faces_of, instants, open_store, stored_days
 
 pytestmark = pytest.mark.slow
 
@@ -140,7 +140,7 @@ def test_the_page_lists_modes_gaps_and_alarms_with_their_utc_and_local_times(the
     assert figure(row(the_page, "tracking")[1]) == pytest.approx(9.5)
     assert ["14:59:00", "16:59:00", "31 min"] in rows
     cube = "the cube is silent: look at its PC"
-    assert ["09:00:00", "11:00:00", "60 min", cube, STRANGER] in rows
+    assert ["09:00:00", "11:00:00", "60 min", cube, HOSTILE_NAME] in rows
     assert ["16:00:00", "18:00:00", "8 h 00 min, still on", "the day's moves are used up", "–"] in rows
 
 
@@ -232,7 +232,7 @@ def test_the_page_takes_limits_and_daily_budget_from_the_configuration(heliocube
 
 
 def test_the_page_lists_the_changes_of_the_configuration(heliocube, tmp_path):
-    kept = opened(tmp_path / "store")
+    kept = open_store(tmp_path / "store")
     for wind in (15.0, 15.0, 12.5):
         settings = Settings.model_validate({"safety": {"stow_wind_m_s": wind}}).model_dump(mode="json")
         tell_changes(settings, tmp_path / "store", LoopClock(lambda: 60.0, T0), kept.keep)
@@ -286,9 +286,9 @@ def test_the_pages_of_simulate_and_of_its_replay_agree_and_are_marked_simulated(
     ("command", "number"), [("simulate", signal.SIGINT), ("simulate", signal.SIGTERM), ("replay", signal.SIGTERM)]
 )
 def test_an_interrupted_simulate_or_replay_writes_no_page_and_makes_no_folder_for_it(
-    heliocube, tmp_path, signal_at_once, command, number
+    heliocube, tmp_path, signal_at_first_progress, command, number
 ):
-    signal_at_once(number)
+    signal_at_first_progress(number)
     faces = tmp_path / "faces.csv"
     faces.write_text(
         "time,east,south,west,zenith\n2022-10-12T11:00Z,220,300,210,510\n2022-10-12T11:01Z,220,300,210,510"
@@ -307,10 +307,10 @@ def test_an_interrupted_simulate_or_replay_writes_no_page_and_makes_no_folder_fo
 
 @pytest.mark.parametrize("command", ["simulate", "replay"])
 def test_sigterm_keeps_what_is_done_also_in_a_background_process_that_ignores_sigint(
-    heliocube, tmp_path, signal_at_once, command
+    heliocube, tmp_path, signal_at_first_progress, command
 ):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal_at_once(signal.SIGTERM)
+    signal_at_first_progress(signal.SIGTERM)
     faces, out = tmp_path / "faces.csv", tmp_path / "p.csv"
     faces.write_text(
         "time,east,south,west,zenith\n2022-10-12T11:00Z,220,300,210,510\n2022-10-12T11:01Z,220,300,210,510"

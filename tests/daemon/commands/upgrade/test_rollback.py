@@ -13,18 +13,18 @@ import pytest
 
 from daemon.base.clock import SystemClock
 from daemon.base.installation import release
-from daemon.config.migrate import before
+from daemon.config.migrate import backup_path
 from daemon.store.copies import copies_of, copy_path
-from daemon.store.place import claimed
+from daemon.store.place import lock_folder
 from daemon.store.schema import FILE_NAME, VERSION
 from daemon.store.store import Store
 from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_copies import OLDER, made_older, opened
 from tests.daemon.store.test_store import ORIGIN, count
 from tests.daemon.store.test_tables import ALL, scan
-from tests.support.disk import synced
+from tests.support.disk import synced_files
 
-__all__ = ["synced"]
+__all__ = ["synced_files"]
 
 
 @pytest.fixture
@@ -152,7 +152,7 @@ def test_rollback_holds_every_tracker_that_has_no_order_of_a_person(heliocube, t
 
 
 def test_rollback_holds_no_tracker_on_the_machine_of_a_cube(heliocube, program, tmp_path, monkeypatch):
-    monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
+    monkeypatch.setattr("daemon.commands.options.CONFIG_FOLDER", tmp_path)
     for role in ("cube", "tracker"):
         file = tmp_path / f"{role}.toml"
         file.write_text(f"[store]\ndirectory = '{role}'\n")
@@ -268,7 +268,7 @@ def test_a_configuration_that_the_older_release_cannot_read_is_put_back_and_the_
     newer = config.with_name(f"{config.name}.newer-{release()}")
     assert f"your changes since then are only in {newer}" in out
     assert (config.read_text(), newer.read_text()) == (heliocube_before, migrated)
-    assert config.stat().st_mode == newer.stat().st_mode == before(config).stat().st_mode
+    assert config.stat().st_mode == newer.stat().st_mode == backup_path(config).stat().st_mode
 
 
 def test_a_configuration_named_by_a_relative_path_or_no_worse_than_the_one_before_stays_in_place(
@@ -285,14 +285,14 @@ def test_a_configuration_named_by_a_relative_path_or_no_worse_than_the_one_befor
 
     code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="latitude_deg"))
     assert (code, config.read_text()) == (0, migrated)
-    assert f"{config} stays as it is: 0.0.9 finds mistakes in it and in {before(config)}" in out
+    assert f"{config} stays as it is: 0.0.9 finds mistakes in it and in {backup_path(config)}" in out
 
 
 def test_an_empty_configuration_from_before_the_upgrade_is_not_put_back(heliocube, config, program):
     config.write_text("[law]\nname = 'flat'\n")
     heliocube("config", "migrate", "--keys-only", config)
     migrated = config.read_text()
-    before(config).write_text("")
+    backup_path(config).write_text("")
     code, out, _ = heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
     assert (code, config.read_text()) == (0, migrated)
     assert f"{config} stays as it is" in out
@@ -307,22 +307,24 @@ def test_of_several_configurations_from_before_an_upgrade_the_latest_is_put_back
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is synced is seen in /proc")
-def test_the_newer_configuration_is_synced_to_disk_before_the_older_one_is_put_back(heliocube, config, program, synced):
+def test_the_newer_configuration_is_synced_to_disk_before_the_older_one_is_put_back(
+    heliocube, config, program, synced_files
+):
     for law in ("flat", "mu-prime"):
         config.write_text(f"[law]\nname = '{law}'\n")
         heliocube("config", "migrate", "--keys-only", config)
         config.chmod(0o640)
-        synced.clear()
+        synced_files.clear()
         heliocube("rollback", "-c", config, "--to", program(VERSION, refuses="driver"))
-        (newer,) = [name for name in synced if ".newer-" in name]
-        assert synced.index(newer) < synced.index(f".{config.name}.part")
+        (newer,) = [name for name in synced_files if ".newer-" in name]
+        assert synced_files.index(newer) < synced_files.index(f".{config.name}.part")
         kept = config.with_name(newer)
         assert (kept.read_text(), kept.stat().st_mode) == (f"[law]\ndriver = '{law}'\n", config.stat().st_mode)
     assert len(list(config.parent.glob("*.newer-*"))) == 2, "what an earlier way back has kept is not overwritten"
 
 
 def test_rollback_is_refused_while_a_service_uses_the_store(heliocube, config, program, upgraded):
-    with claimed(upgraded, ("tracker",)):
+    with lock_folder(upgraded, ("tracker",)):
         code, _, err = heliocube("rollback", "-c", config, "--to", program())
     assert code == 2
     assert "another service that runs" in err

@@ -10,7 +10,7 @@ import pytest
 
 from daemon.base.installation import release
 from daemon.base.records import Mode
-from daemon.commands.upgrade.running import program, service
+from daemon.commands.upgrade.running import check_running_release, service_findings
 from daemon.config.settings import Settings
 from daemon.store.schema import FILE_NAME, VERSION, open_for_writing
 from tests.daemon.store.test_full_disk import small_disk
@@ -86,7 +86,7 @@ def test_the_configuration_of_a_unit_is_checked_for_the_role_of_that_unit(
     file = tmp_path / "tracker.toml"
     file.write_text(text)
     named = ["-c", file] if command == "self-check" else [file]
-    monkeypatch.setattr("daemon.commands.options.INSTALLED", tmp_path)
+    monkeypatch.setattr("daemon.commands.options.CONFIG_FOLDER", tmp_path)
     code, out, err = heliocube(*command.split(), *named)
     assert code == 2
     assert "as tracker: bridge.key_file" in out + err
@@ -145,7 +145,7 @@ def test_the_findings_about_a_running_service_come_from_its_own_state_and_health
     async def scenario(rig, call):
         async def findings():
             await asyncio.sleep(2)
-            return list(service((await call.get("/api/state")).json, (await call.get("/healthz")).json))
+            return list(service_findings((await call.get("/api/state")).json, (await call.get("/healthz")).json))
 
         await rig.until_mode(Mode.TRACKING, 120)
         found = await findings()
@@ -155,7 +155,7 @@ def test_the_findings_about_a_running_service_come_from_its_own_state_and_health
         state = (await call.get("/api/state")).json
         for own in state["trackers"].values():
             own["tracker"]["pose"] = {"a_deg": -0.04, "b_deg": 90.0}
-        assert texts(service(state, {"troubles": []}))["positioner"].endswith(" at A +0.0, B 90.0 deg")
+        assert texts(service_findings(state, {"troubles": []}))["positioner"].endswith(" at A +0.0, B 90.0 deg")
         assert texts(found)["wind source"].startswith("wind: 3.0 m/s, ")
 
         rig.wind_m_s = None
@@ -172,10 +172,10 @@ def test_the_findings_about_a_running_service_come_from_its_own_state_and_health
 
 def test_a_service_that_was_not_restarted_after_an_upgrade_is_reported(tmp_path):
     settings = Settings.model_validate({"store": {"directory": tmp_path}})
-    assert list(program(settings, "tracker")) == []
+    assert list(check_running_release(settings, "tracker")) == []
     (tmp_path / "release.json").write_text(json.dumps({"release": release()}))
-    assert list(program(settings, "tracker")) == []
+    assert list(check_running_release(settings, "tracker")) == []
     (tmp_path / "release.json").write_text('{"release": "0.0.9"}')
-    (found,) = program(settings, "tracker")
+    (found,) = check_running_release(settings, "tracker")
     assert (found.ok, found.text) == (False, "still runs heliocube 0.0.9")
-    assert list(program(settings, "cube")) == []
+    assert list(check_running_release(settings, "cube")) == []

@@ -4,8 +4,8 @@ from collections import deque
 
 import pytest
 
-from daemon.studies.campaign.bounded import Bounded
-from daemon.studies.campaign.draw import draw
+from daemon.studies.campaign.bounded import GrowthCheck
+from daemon.studies.campaign.draw import draw_schedule
 
 
 @pytest.mark.parametrize(
@@ -20,8 +20,8 @@ from daemon.studies.campaign.draw import draw
     ids=["little", "objects", "a queue", "a set", "a set of three trackers"],
 )
 def test_many_objects_or_a_long_queue_or_set_left_in_memory_are_reported_as_a_leak(left, trackers, leaks):
-    bounded, failed, schedule = Bounded(lambda: 0.0), [], draw(1, 2, trackers=trackers)
-    bounded.warm([])
+    bounded, failed, schedule = GrowthCheck(lambda: 0.0), [], draw_schedule(1, 2, trackers=trackers)
+    bounded.note_memory_baseline([])
     kept = left()
     bounded.check(schedule, [], lambda promise, text: failed.append((promise, text)))
     assert len(kept) >= 100

@@ -6,17 +6,17 @@ from dataclasses import replace
 import pytest
 
 from daemon.service.operator import CommandError
-from daemon.studies.campaign.door import DirectDoor, DoorReply
-from daemon.studies.campaign.draw import draw
+from daemon.studies.campaign.door import CommandReply, DirectCommandChannel
+from daemon.studies.campaign.draw import draw_schedule
 from daemon.studies.campaign.run import run_schedule
-from daemon.studies.campaign.schedule import Happening
+from daemon.studies.campaign.schedule import ScheduledEvent
 
 STOP, GOTO, STOW = (
-    Happening(150.0, "command", "stop"),
-    Happening(145.0, "command", "goto", (-45.0, 30.0)),
-    Happening(170.0, "command", "stow"),
+    ScheduledEvent(150.0, "command", "stop"),
+    ScheduledEvent(145.0, "command", "goto", (-45.0, 30.0)),
+    ScheduledEvent(170.0, "command", "stow"),
 )
-BAD = Happening(150.0, "command", "bad", (0.0, 14.0))
+BAD = ScheduledEvent(150.0, "command", "bad", (0.0, 14.0))
 
 
 class Lying:
@@ -24,7 +24,7 @@ class Lying:
 
     def __init__(self, **lies):
         self._lies = lies
-        self._honest = DirectDoor()
+        self._honest = DirectCommandChannel()
 
     def has(self, name):
         return True
@@ -37,7 +37,7 @@ class Lying:
 
 
 def says(done, text="standing"):
-    return lambda service: DoorReply(done, text)
+    return lambda service: CommandReply(done, text)
 
 
 def refuses(sentence):
@@ -54,18 +54,18 @@ def breaks(service):
 def kills(service):
     service.trackers[0].control.tick = None
     service.trackers[0].control.decide_again()
-    return DoorReply(done=False, text="")
+    return CommandReply(done=False, text="")
 
 
 def floods(service):
     for number in range(500):
         logging.getLogger("heliocube.test").info("line %d", number)
-    return DoorReply(done=False, text="")
+    return CommandReply(done=False, text="")
 
 
 def found(events, door, *, heal=False):
-    outcome = run_schedule(replace(draw(1, 0.08), events=events), door, heal=heal)
-    return outcome.promises
+    outcome = run_schedule(replace(draw_schedule(1, 0.08), events=events), door, heal=heal)
+    return outcome.broken_promises
 
 
 @pytest.mark.parametrize(
@@ -88,8 +88,8 @@ def test_the_campaign_notices_wrong_answers_a_service_that_dies_and_a_log_that_f
 
 def test_a_count_lost_just_after_a_hold_does_not_make_its_answer_count_as_wrong():
     settles = replace(GOTO, value=(-10.0, 80.0))
-    hold, slip = Happening(200.0, "command", "hold"), Happening(200.05, "fault", "b_slip")
-    assert found((settles, hold, slip), DirectDoor()) == set()
+    hold, slip = ScheduledEvent(200.0, "command", "hold"), ScheduledEvent(200.05, "fault", "b_slip")
+    assert found((settles, hold, slip), DirectCommandChannel()) == set()
 
 
 def test_the_campaign_notices_a_tracker_that_does_not_work_again():

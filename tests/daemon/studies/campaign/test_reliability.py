@@ -8,21 +8,21 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
 from daemon.rigs.campaign.faults import FAULTS
-from daemon.studies.campaign.declared import UNSEEN, declared, without_row
+from daemon.studies.campaign.declared import REASONS_WITHOUT_DRILL, declared_drills, faults_without_drill
 from daemon.studies.campaign.drills import WorstSeen
 from daemon.studies.campaign.many import run_all
 from daemon.studies.campaign.matrix import CELLS, COMPONENTS, FAULT_KINDS, cell, chosen_faults
 from daemon.studies.campaign.pairs import Pair, declared_pairs, measure_pairs
-from daemon.studies.campaign.reliability import beyond, page
-from daemon.studies.spread.workers import HERE
+from daemon.studies.campaign.reliability import exceeded_bounds, page
+from daemon.studies.spread.workers import THIS_PROCESS
 from tests.support import ROOT
 
 MEASURED = {6: (3, 5), 9: (5, 8)}
-UNPLUGGED = next(drill for drill in declared() if drill.fault == "unplug_positioner")
+UNPLUGGED = next(drill for drill in declared_drills() if drill.fault == "unplug_positioner")
 
 
 def test_every_fault_has_a_declared_row_or_a_reason_for_having_none():
-    assert without_row() == set(UNSEEN)
+    assert faults_without_drill() == set(REASONS_WITHOUT_DRILL)
 
 
 def test_every_cell_of_the_fault_matrix_has_known_faults_or_is_refused_with_a_sentence():
@@ -48,17 +48,17 @@ def test_an_unknown_fault_name_is_refused():
 
 def test_a_drill_of_an_unplugged_positioner_measures_times_within_the_declared_bounds():
     schedules = list(UNPLUGGED.schedules())[:1]
-    outcomes = run_all(schedules, HERE, lambda _: None)
+    outcomes = run_all(schedules, THIS_PROCESS, lambda _: None)
     measured = UNPLUGGED.measure(schedules, outcomes)
-    assert list(beyond(UNPLUGGED, measured)) == []
+    assert list(exceeded_bounds(UNPLUGGED, measured)) == []
     assert 0 < measured.reached_s < 1
-    assert 0 < measured.back_s < 15
+    assert 0 < measured.recovery_s < 15
     assert replace(UNPLUGGED, mode=(Mode.SNOW,)).measure(schedules, outcomes).reached_s == math.inf
 
 
 def test_each_bound_or_promise_that_a_drill_does_not_keep_is_reported():
-    assert [*beyond(UNPLUGGED, WorstSeen(0.5, 5.0, (), 3))] == []
-    assert [*beyond(UNPLUGGED, WorstSeen(math.inf, math.nan, ("limits",), 3))] == [
+    assert [*exceeded_bounds(UNPLUGGED, WorstSeen(0.5, 5.0, (), 3))] == []
+    assert [*exceeded_bounds(UNPLUGGED, WorstSeen(math.inf, math.nan, ("limits",), 3))] == [
         "unplug_positioner at rest: fault after inf s, 1 s are declared",
         "unplug_positioner at rest: back after nan s, 15 s are declared",
         "unplug_positioner at rest: breaks limits",
@@ -67,9 +67,12 @@ def test_each_bound_or_promise_that_a_drill_does_not_keep_is_reported():
 
 def test_docs_reliability_md_has_the_faults_and_pairs_that_are_declared_now():
     written = (ROOT / "docs" / "reliability.md").read_text()
-    pairs = declared_pairs(declared())
+    pairs = declared_pairs(declared_drills())
     fresh = page(
-        declared(), [WorstSeen(0.0, 0.0, (), 3)] * len(declared()), pairs, [WorstSeen(0.0, 0.0, (), 1)] * len(pairs)
+        declared_drills(),
+        [WorstSeen(0.0, 0.0, (), 3)] * len(declared_drills()),
+        pairs,
+        [WorstSeen(0.0, 0.0, (), 1)] * len(pairs),
     )
     assert _declared_rows(written) == _declared_rows(fresh)
     assert written.count("Every bound is kept, and no promise was broken.") == 2
@@ -94,7 +97,7 @@ def _declared_rows(text: str) -> list[list[str]]:
 def _pair(first: str, second: str, phase: str = "at rest") -> Pair:
     return next(
         pair
-        for pair in declared_pairs(declared())
+        for pair in declared_pairs(declared_drills())
         if (pair.first.fault, pair.second.fault, pair.first.phase) == (first, second, phase)
     )
 
@@ -116,7 +119,7 @@ def test_the_person_gives_the_commands_that_both_faults_of_a_pair_need():
 
 
 def test_faults_that_contradict_or_hide_each_other_form_no_pair():
-    names = {(pair.first.fault, pair.second.fault) for pair in declared_pairs(declared())}
+    names = {(pair.first.fault, pair.second.fault) for pair in declared_pairs(declared_drills())}
     assert not names & {("kill", "end"), ("a_switch_closed", "a_switch_open"), ("a_slip", "kill")}
     assert ("a_switch_closed", "b_switch_open") in names
 
@@ -124,14 +127,14 @@ def test_faults_that_contradict_or_hide_each_other_form_no_pair():
 @pytest.mark.parametrize(("first", "second"), [("unplug_voltmeter", "face_stuck"), ("bridge_lost", "end")])
 def test_a_measured_pair_of_faults_keeps_its_declared_bounds(first, second):
     pair = _pair(first, second)
-    (seen,) = measure_pairs([pair], HERE, lambda _: None)
-    assert list(pair.beyond(seen)) == []
+    (seen,) = measure_pairs([pair], THIS_PROCESS, lambda _: None)
+    assert list(pair.exceeded_bounds(seen)) == []
     assert seen.reached_s > 0
 
 
 def test_each_bound_or_promise_that_a_pair_of_faults_does_not_keep_is_reported():
     seen = WorstSeen(math.inf, math.nan, ("limits",), 1)
-    assert [*_pair("unplug_voltmeter", "bridge_lost").beyond(seen)] == [
+    assert [*_pair("unplug_voltmeter", "bridge_lost").exceeded_bounds(seen)] == [
         "unplug_voltmeter and bridge_lost at rest: fallback after inf s, 70 s are declared",
         "unplug_voltmeter and bridge_lost at rest: back after nan s, 120 s are declared",
         "unplug_voltmeter and bridge_lost at rest: breaks limits",

@@ -9,37 +9,37 @@ import pytest
 
 from daemon.base.errors import UserError
 from daemon.rigs.campaign.faults import FAULTS
-from daemon.studies.campaign.attack import Attack
-from daemon.studies.campaign.draw import COMMANDS, ROTATOR_SPANS, SPANS, draw
-from daemon.studies.campaign.habits import BUILT, CHOICES
+from daemon.studies.campaign.attack import Campaign
+from daemon.studies.campaign.draw import COMMANDS, FAULT_SPANS, ROTATOR_FAULT_SPANS, draw_schedule
+from daemon.studies.campaign.habits import AXIS_VARIANTS, CHOICES
 from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.matrix import chosen_schedules, settings_of
-from daemon.studies.campaign.reduce import reduce
+from daemon.studies.campaign.reduce import reduce_schedule
 from daemon.studies.campaign.run import run_schedule
-from daemon.studies.campaign.schedule import Happening, Schedule
-from daemon.studies.spread.workers import HERE, Workers
+from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
+from daemon.studies.spread.workers import THIS_PROCESS, Workers
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
 
 
 def test_a_seed_gives_the_same_schedule_and_the_same_run_each_time():
-    schedule = draw(7, 0.2)
-    assert schedule == draw(7, 0.2)
+    schedule = draw_schedule(7, 0.2)
+    assert schedule == draw_schedule(7, 0.2)
     assert schedule == Schedule.from_json(schedule.json())
-    assert schedule != draw(8, 0.2)
+    assert schedule != draw_schedule(8, 0.2)
     assert run_schedule(schedule, heal=False) == run_schedule(schedule, heal=False)
 
 
 def test_a_campaign_in_two_processes_gives_the_same_lines_as_in_one():
-    schedules = [draw(seed, 0.1) for seed in (3, 4)]
+    schedules = [draw_schedule(seed, 0.1) for seed in (3, 4)]
     one, two = (run_many(schedules, Workers(jobs), lambda *_: None, with_log=True) for jobs in (1, 2))
     assert sorted(one.lines()) == sorted(two.lines())
     assert one.done == 2
 
 
 def test_every_fault_and_command_can_be_drawn():
-    assert {*SPANS, *ROTATOR_SPANS} == set(FAULTS)
-    events = [event for seed in range(400) for event in draw(seed, 3).events]
-    assert {event.name for event in events} == {*SPANS, *COMMANDS}
+    assert {*FAULT_SPANS, *ROTATOR_FAULT_SPANS} == set(FAULTS)
+    events = [event for seed in range(400) for event in draw_schedule(seed, 3).events]
+    assert {event.name for event in events} == {*FAULT_SPANS, *COMMANDS}
 
 
 def test_every_fault_of_the_simulated_unit_is_in_the_campaign():
@@ -49,27 +49,29 @@ def test_every_fault_of_the_simulated_unit_is_in_the_campaign():
 
 def test_every_fault_can_begin_and_end_without_a_broken_promise():
     events = []
-    for name in SPANS:
-        drawn = (event for seed in range(2000) for event in draw(seed, 1, only=[name]).events if event.name == name)
+    for name in FAULT_SPANS:
+        drawn = (
+            event for seed in range(2000) for event in draw_schedule(seed, 1, only=[name]).events if event.name == name
+        )
         event = next(drawn)
         at_s = 90.0 + 30 * len(events)
         events += [
             replace(event, at_s=at_s, lasts_s=min(event.lasts_s, 10.0)),
-            Happening(at_s + 20, "command", "clear"),
+            ScheduledEvent(at_s + 20, "command", "clear"),
         ]
     hours = (events[-1].at_s + 60) / 3600
-    assert run_schedule(replace(draw(1, hours), events=tuple(events)), heal=False).violations == ()
+    assert run_schedule(replace(draw_schedule(1, hours), events=tuple(events)), heal=False).violations == ()
 
 
 @pytest.mark.parametrize(
     ("event", "sentence"),
     [
-        (Happening(60, "fault", "lightning"), "no fault 'lightning'"),
-        (Happening(60, "command", "dance"), "no command 'dance'"),
+        (ScheduledEvent(60, "fault", "lightning"), "no fault 'lightning'"),
+        (ScheduledEvent(60, "command", "dance"), "no command 'dance'"),
     ],
 )
 def test_an_unknown_fault_or_command_in_a_schedule_is_refused_and_not_skipped(event, sentence):
-    schedule = replace(draw(1, 0.2), events=(event,))
+    schedule = replace(draw_schedule(1, 0.2), events=(event,))
     with pytest.raises(UserError, match=sentence):
         run_schedule(schedule)
 
@@ -102,7 +104,7 @@ WIND = {"at_s": 60, "what": "fault", "name": "wind", "value": [20]}
 )
 def test_a_schedule_file_that_cannot_be_run_is_refused_with_the_place_of_the_mistake(tmp_path, change, sentence):
     file = tmp_path / "mine.json"
-    file.write_text(json.dumps(json.loads(draw(1, 0.2).json()) | change))
+    file.write_text(json.dumps(json.loads(draw_schedule(1, 0.2).json()) | change))
     with pytest.raises(UserError, match=sentence) as refused:
         chosen_schedules(1, 1, 1.0, (), (), file)
     assert str(file) in str(refused.value)
@@ -117,16 +119,16 @@ def test_a_text_that_is_not_one_json_object_is_refused_as_a_schedule(text):
 def test_a_deliberately_bad_command_of_a_schedule_may_have_nan_as_its_target(tmp_path):
     file = tmp_path / "mine.json"
     event = {"at_s": 60, "what": "command", "name": "bad", "value": [float("nan"), 60]}
-    file.write_text(json.dumps(json.loads(draw(1, 0.2).json()) | {"events": [event]}))
+    file.write_text(json.dumps(json.loads(draw_schedule(1, 0.2).json()) | {"events": [event]}))
     (schedule,) = chosen_schedules(1, 1, 1.0, (), (), file)
     assert str(schedule.events[0]).endswith("nan 60")
 
 
 @pytest.mark.parametrize(("positioner", "trackers"), [("pozsol", 1), ("pozsol", 10), ("rotctld", 1)])
 def test_every_seed_draws_settings_that_a_service_accepts(positioner, trackers):
-    drawn = [draw(seed, 0.1, trackers=trackers, positioner=positioner) for seed in range(40)]
+    drawn = [draw_schedule(seed, 0.1, trackers=trackers, positioner=positioner) for seed in range(40)]
     assert {len(settings_of(schedule).trackers) for schedule in drawn} == {trackers}
-    ways = [way for ways in (CHOICES if positioner == "rotctld" else (*CHOICES, BUILT)) for way in ways]
+    ways = [way for ways in (CHOICES if positioner == "rotctld" else (*CHOICES, AXIS_VARIANTS)) for way in ways]
     assert {section for schedule in drawn for section in schedule.settings} == {name for way in ways for name in way}
     assert any(not schedule.settings for schedule in drawn)
 
@@ -145,18 +147,18 @@ class Pretended:
         return replace(OUTCOME, violations=(BROKEN,) if broken else ())
 
 
-OUTCOME = run_schedule(replace(draw(1, 0.02), events=()), heal=False)
+OUTCOME = run_schedule(replace(draw_schedule(1, 0.02), events=()), heal=False)
 BROKEN = type("Broken", (), {"promise": "a promise"})()
 
 
 def test_a_failure_is_reduced_to_its_necessary_events_in_fewer_runs_than_there_are_events():
     names = [f"harmless {number}" for number in range(200)]
     names[150], names[160] = "stop", "own_tracking"
-    events = tuple(Happening(300.0 * (1 + at), "fault", name) for at, name in enumerate(names))
+    events = tuple(ScheduledEvent(300.0 * (1 + at), "fault", name) for at, name in enumerate(names))
     pretended = Pretended("stop", "own_tracking")
     settings = {"motion": {"attempts": 1, "retry_after_s": 120.0}, "site": {"latitude_deg": 4.0}}
-    schedule = replace(draw(1, 24), events=events, settings=settings)
-    reduced = reduce(schedule, {"a promise"}, events[160].at_s + 5, pretended)
+    schedule = replace(draw_schedule(1, 24), events=events, settings=settings)
+    reduced = reduce_schedule(schedule, {"a promise"}, events[160].at_s + 5, pretended)
     assert [event.name for event in reduced.events] == ["stop", "own_tracking"]
     assert pretended.runs < 65
     assert reduced.settings == {"motion": {"attempts": 1}}
@@ -169,11 +171,11 @@ def test_each_failure_is_reduced_and_saved_as_a_schedule_that_can_be_run_alone(t
     # With this bound, a service says too much as soon as a person has given a command.
     monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
-    given = tuple(Happening(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
-    schedule = replace(draw(7, 0.04), events=given)
-    assert Attack([schedule], HERE, said.append, keep, show=False).run(lambda _share: None) == 1
+    given = tuple(ScheduledEvent(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
+    schedule = replace(draw_schedule(7, 0.04), events=given)
+    assert Campaign([schedule], THIS_PROCESS, said.append, keep, show=False).run(lambda _share: None) == 1
     (alone,) = chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json")
-    assert run_schedule(alone).promises == {"log"}
+    assert run_schedule(alone).broken_promises == {"log"}
     assert len(alone.events) == 1
     assert alone.text() in said
     assert any(f"heliocube campaign --schedule {keep / 'seed-7.json'}" in line for line in said)
@@ -190,8 +192,8 @@ def _ctrl_c():
 @pytest.mark.usefixtures("_ctrl_c")
 def test_ctrl_c_ends_a_campaign_with_a_report_of_what_was_done(tmp_path):
     said = []
-    schedules = [draw(seed, 0.02) for seed in (1, 2, 3)]
-    attack = Attack(schedules, HERE, said.append, tmp_path / "failures", show=False)
+    schedules = [draw_schedule(seed, 0.02) for seed in (1, 2, 3)]
+    attack = Campaign(schedules, THIS_PROCESS, said.append, tmp_path / "failures", show=False)
     code = attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT))
     assert code == 130
     assert said[0].startswith("2 schedules, 0.04 h")
@@ -203,9 +205,11 @@ def test_ctrl_c_ends_a_campaign_with_a_report_of_what_was_done(tmp_path):
 def test_a_failure_found_before_ctrl_c_is_saved_unreduced(tmp_path, monkeypatch):
     monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
-    given = tuple(Happening(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto")))
-    failing = replace(draw(7, 0.03), events=given)
-    attack = Attack([failing, draw(1, 0.02), draw(2, 0.02)], HERE, said.append, keep, show=False)
+    given = tuple(ScheduledEvent(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto")))
+    failing = replace(draw_schedule(7, 0.03), events=given)
+    attack = Campaign(
+        [failing, draw_schedule(1, 0.02), draw_schedule(2, 0.02)], THIS_PROCESS, said.append, keep, show=False
+    )
     assert attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT)) == 1
     assert chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json") == [failing]
     assert f"again: heliocube campaign --schedule {keep / 'seed-7.json'} --show" in said

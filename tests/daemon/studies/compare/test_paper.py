@@ -9,7 +9,7 @@ import pytest
 from daemon.commands.main import main
 from daemon.config.settings import Settings
 from daemon.studies.compare import paper
-from daemon.studies.compare.paper import PRINTED, Spread, as_text, ceilings, notes
+from daemon.studies.compare.paper import PAPER_GAINS, Spread, as_text, notes, overcast_gain_limits
 from solar.ephemeris import Site
 from solar.frames import Limits
 
@@ -63,7 +63,7 @@ def test_the_shape_of_the_papers_results_is_found_again(monkeypatch, capsys, tmp
 
 
 def test_the_ceiling_of_the_gain_at_an_overcast_noon_agrees_with_a_calculation_by_hand():
-    found = {(period, sky): gain for period, sky, gain in ceilings(SIRTA, Limits())}
+    found = {(period, sky): gain for period, sky, gain in overcast_gain_limits(SIRTA, Limits())}
     # 11:15 UTC: the sun is 33.8 deg high, the tilt 56.2 deg; before and after, the sun is lower.
     # (1 + 0.556)/2 + 0.2 (1 - 0.556)/2 = 0.8225, that is 21.6 %.
     assert found["overcast", "isotropic"] == pytest.approx(22.0, abs=0.5)
@@ -71,7 +71,7 @@ def test_the_ceiling_of_the_gain_at_an_overcast_noon_agrees_with_a_calculation_b
     assert found["overcast", "Moon & Spencer"] == pytest.approx(100 / (0.8225 - 0.0748) - 100, abs=1.0)
     assert found["overcast day", "isotropic"] > found["overcast", "isotropic"]
     # A darker ground: (1 + 0.556)/2 + 0.1 (1 - 0.556)/2 = 0.8002, that is 25.0 %, and again lower sun before and after.
-    dark = ceilings(SIRTA, Limits(), albedo=0.1)
+    dark = overcast_gain_limits(SIRTA, Limits(), albedo=0.1)
     assert dark[0] == ("overcast", "isotropic", pytest.approx(25.5, abs=0.5))
 
 
@@ -82,9 +82,9 @@ def test_the_notes_of_a_study_that_was_ended_early_say_how_many_of_its_runs_were
 
 
 def test_variable_weather_is_shown_by_the_median_quartiles_and_range_of_its_gains():
-    *_, variable, _overcast_day = PRINTED
-    shown = Spread(variable, "haydavies", (-6.0, -3.0, -1.5, 0.5, 20.0), asked=True)
-    assert (shown.median_pct, shown.quartiles_pct, shown.of_all) == (-1.5, (-3.0, 0.5), "2 of 5")
+    *_, variable, _overcast_day = PAPER_GAINS
+    shown = Spread(variable, "haydavies", (-6.0, -3.0, -1.5, 0.5, 20.0), has_bounds=True)
+    assert (shown.median_pct, shown.quartiles_pct, shown.within_bounds_text) == (-1.5, (-3.0, 0.5), "2 of 5")
     first, second = (line for line in as_text([shown]).splitlines() if line.startswith("variable"))
     assert all(text in f"{first} {second}" for text in ("-1.00", "-2..+1", "2 of 5", "-3.00..+0.50", "-6.00..+20.00"))
-    assert Spread(variable, "haydavies", shown.gains_pct, asked=False).of_all == ""
+    assert Spread(variable, "haydavies", shown.gains_pct, has_bounds=False).within_bounds_text == ""

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from daemon.base.records import FACES
-from daemon.studies.report.material import of_tables
+from daemon.studies.report.material import split_by_tracker
 from daemon.studies.report.page import findings_of, page_of
 from daemon.studies.report.pictures import days_picture
 from daemon.studies.report.span import ReportSpan
@@ -32,7 +32,7 @@ def findings(site, begin_s, end_s, moves_utc_s=()):
         "poses": table(np.arange(begin_s, end_s, 300.0), a_deg=0.0, b_deg=90.0, moving=0.0),
         "moves": table(moves_utc_s, from_a_deg=0.0, end_a_deg=10.0, from_b_deg=0.0, end_b_deg=0.0, outcome="done"),
     }
-    (material,) = of_tables(tables, ReportSpan(begin_s, end_s, "aT_b"), site, "here", "tables")
+    (material,) = split_by_tracker(tables, ReportSpan(begin_s, end_s, "aT_b"), site, "here", "tables")
     return findings_of(material, None)
 
 

@@ -8,7 +8,7 @@ import pandas as pd
 from daemon.base.records import FACES
 from daemon.store.runs import StoredRun
 from daemon.store.store import Origin
-from daemon.studies.report.material import of_tables
+from daemon.studies.report.material import split_by_tracker
 from daemon.studies.report.page import findings_of, page_of
 from daemon.studies.report.span import ReportSpan
 from solar.ephemeris import DAY_S, Site
@@ -35,7 +35,9 @@ def test_a_report_table_that_is_cut_short_says_how_many_rows_there_are():
         "events": table(changes_s[:MANY], subject="configuration", text="[budget] moves: 10 is 20 now"),
     }
     run = StoredRun(1, Origin(T0, "both", "0.1.0", False, "here", *site))
-    (material,) = of_tables(tables, ReportSpan(T0, T0 + DAY_S, "2022-10-14"), site, "here", "tables", runs=(run,))
+    (material,) = split_by_tracker(
+        tables, ReportSpan(T0, T0 + DAY_S, "2022-10-14"), site, "here", "tables", runs=(run,)
+    )
     captions = re.findall(r"<caption>(.*?)</caption>", page_of(findings_of(material, None)))
     assert "When it neither tracked nor slept: the first 300 of 301" in captions
     assert "Changes of the configuration, found at a start: the first 300 of 301" in captions
@@ -50,5 +52,5 @@ def test_scans_that_were_recorded_twice_do_not_change_the_interval_that_the_repo
         "scans": table(utc_s, **faces),
         "poses": table(utc_s[::2], a_deg=0.0, b_deg=90.0, moving=0.0),
     }
-    (material,) = of_tables(tables, ReportSpan(T0, T0 + DAY_S, "2022-10-14"), site, "here", "tables")
+    (material,) = split_by_tracker(tables, ReportSpan(T0, T0 + DAY_S, "2022-10-14"), site, "here", "tables")
     assert "one is expected every 300 s" in page_of(findings_of(material, None))

@@ -13,9 +13,9 @@ from matplotlib.dates import date2num
 from matplotlib.image import imread
 
 from daemon.base.errors import UserError
-from daemon.studies.report.material import of_tables
+from daemon.studies.report.material import split_by_tracker
 from daemon.studies.report.motion import motion_of
-from daemon.studies.report.pictures import PICTURES, Drawing
+from daemon.studies.report.pictures import PICTURES, PictureData
 from daemon.studies.report.plot import draw
 from daemon.studies.report.span import ReportSpan
 from daemon.studies.report.yields import light_of
@@ -51,7 +51,9 @@ def material(days=1):
         "modes": table(utc_s[:1], before="starting", after="tracking", why="light"),
         "events": table([], subject=[], text=[]),
     }  # fmt: skip
-    (found,) = of_tables(tables, ReportSpan(T0, T0 + days * DAY_S, "day"), Site(48.7, 0.0, 0.0), "here", "tables")
+    (found,) = split_by_tracker(
+        tables, ReportSpan(T0, T0 + days * DAY_S, "day"), Site(48.7, 0.0, 0.0), "here", "tables"
+    )
     return found
 
 
@@ -71,7 +73,7 @@ def crossing(figure):
 @pytest.fixture(scope="module")
 def drawing():
     day = material()
-    return Drawing(day, light_of(day), motion_of(day), None)
+    return PictureData(day, light_of(day), motion_of(day), None)
 
 
 @pytest.mark.parametrize("name", ["light", "angles", "received", "wind", "power"])
@@ -103,7 +105,7 @@ def test_before_the_first_move_the_set_point_is_the_target_of_the_first_decision
     known_min = 225 + 191
     assert motion.deviation_deg == pytest.approx(2.0 * 30 / known_min if moved else 2.0, rel=0.01)
     assert motion.available_pct == pytest.approx(100.0 * known_min / 641, rel=0.01)
-    figure = PICTURES["angles"].draw(Drawing(found, light_of(found), motion, None))
+    figure = PICTURES["angles"].draw(PictureData(found, light_of(found), motion, None))
     (line,) = (line for line in figure.axes[0].lines if line.get_label() == "set")
     first = np.flatnonzero(np.isfinite(line.get_ydata()))[0]
     assert line.get_ydata()[first] == -12.0
@@ -131,7 +133,7 @@ def test_a_picture_file_stays_as_it_was_when_the_new_one_does_not_fit_on_the_dis
 )
 def test_the_axis_of_time_names_the_date_and_the_zones_of_its_times(tmp_path, days, words):
     found = material(days)
-    figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
+    figure = PICTURES["wind"].draw(PictureData(found, light_of(found), motion_of(found), ZoneInfo("Europe/Paris")))
     assert figure.axes[-1].get_xlabel() == words
 
 
@@ -146,7 +148,7 @@ def test_the_axis_of_time_names_the_date_and_the_zones_of_its_times(tmp_path, da
 def test_on_the_day_on_which_the_clocks_change_both_local_times_are_named(day, zone, words):
     start_s = datetime.fromisoformat(f"{day}T00:00Z").timestamp()
     found = replace(material(), span=ReportSpan(start_s, start_s + 86400.0, "part"))
-    axes = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), ZoneInfo(zone))).axes[-1]
+    axes = PICTURES["wind"].draw(PictureData(found, light_of(found), motion_of(found), ZoneInfo(zone))).axes[-1]
     assert axes.get_xlabel().partition(", UTC")[2] == words
 
 
@@ -162,7 +164,7 @@ def test_on_the_day_on_which_the_clocks_change_both_local_times_are_named(day, z
 def test_where_the_ticks_are_days_the_axis_names_their_years(first, last, years):
     start_s, end_s = (datetime.fromisoformat(f"{at}Z").timestamp() for at in (first, last))
     found = replace(material(), span=ReportSpan(start_s, end_s, "part"))
-    axes = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), UTC)).axes[-1]
+    axes = PICTURES["wind"].draw(PictureData(found, light_of(found), motion_of(found), UTC)).axes[-1]
     assert axes.get_xlabel() == f"{years}, UTC"
 
 
@@ -170,7 +172,7 @@ def test_where_the_ticks_are_days_the_axis_names_their_years(first, last, years)
 def test_the_axis_of_time_of_a_short_span_has_ticks_to_read_it_by(minutes):
     begins_s = T0 + 6.17 * 3600.0
     found = replace(material(), span=ReportSpan(begins_s, begins_s + 60.0 * minutes, "part"))
-    axes = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), UTC)).axes[-1]
+    axes = PICTURES["wind"].draw(PictureData(found, light_of(found), motion_of(found), UTC)).axes[-1]
     low, high = axes.get_xlim()
     ticks = axes.get_xticks()
     inside = (low <= ticks) & (ticks <= high)
@@ -184,7 +186,7 @@ def test_on_a_machine_with_an_invalid_time_zone_the_axis_of_time_is_in_utc(monke
     time.tzset()
     try:
         found = material()
-        figure = PICTURES["wind"].draw(Drawing(found, light_of(found), motion_of(found), None))
+        figure = PICTURES["wind"].draw(PictureData(found, light_of(found), motion_of(found), None))
         figure.draw_without_rendering()
     finally:
         monkeypatch.undo()

@@ -7,12 +7,12 @@ import pandas as pd
 import pytest
 
 from daemon.base.records import Event, Mode, ModeChange, Pose
-from daemon.studies.report.material import from_store, of_tables
+from daemon.studies.report.material import read_material, split_by_tracker
 from daemon.studies.report.page import findings_of, page_of
-from daemon.studies.report.span import ReportSpan, Wanted
+from daemon.studies.report.span import ReportSpan, RequestedSpan
 from daemon.studies.report.told import AlarmSpan, alarms_of
 from solar.ephemeris import Site
-from tests.support.stored_day import DAY_S, T0, opened
+from tests.support.stored_day import DAY_S, T0, open_store
 
 
 @pytest.fixture
@@ -24,7 +24,9 @@ def alarms():
         events = pd.DataFrame({"subject": "alarm", "text": texts}, index=index)
         none = events.iloc[:0]
         tables = dict.fromkeys(("scans", "decisions", "moves", "poses", "modes", "curves"), none) | {"events": events}
-        (material,) = of_tables(tables, ReportSpan(T0, T0 + 86400.0, "day"), Site(48.7, 0.0, 0.0), "here", "tables")
+        (material,) = split_by_tracker(
+            tables, ReportSpan(T0, T0 + 86400.0, "day"), Site(48.7, 0.0, 0.0), "here", "tables"
+        )
         return alarms_of(material)
 
     return find
@@ -59,7 +61,7 @@ def test_alarm_events_of_older_services_are_paired_by_their_text(alarms):
 
 
 def page_of_the_second_day(directory):
-    (material,) = from_store(directory, Wanted(day="2022-10-15"), None, T0 + 3 * DAY_S, lambda _: None)
+    (material,) = read_material(directory, RequestedSpan(day="2022-10-15"), None, T0 + 3 * DAY_S, lambda _: None)
     return re.sub(r"<[^>]+>", " ", page_of(findings_of(material, ZoneInfo("Europe/Paris"))))
 
 
@@ -70,7 +72,7 @@ def night(store, start):
 
 
 def test_an_alarm_and_a_hold_that_last_from_the_day_before_are_in_the_report_of_the_day(tmp_path):
-    store = opened(tmp_path)
+    store = open_store(tmp_path)
     for hour, text in (
         (8.0, "raised cube-face: the south face is dead"),
         (8.5, "acknowledged cube-face by ana"),
@@ -90,10 +92,10 @@ def test_an_alarm_and_a_hold_that_last_from_the_day_before_are_in_the_report_of_
 
 
 def test_an_alarm_raised_by_an_earlier_run_of_the_service_is_not_taken_as_still_on(tmp_path):
-    store = opened(tmp_path)
+    store = open_store(tmp_path)
     store.keep(Event(T0 + 8.0 * 3600.0, 0.0, "alarm", "raised cube-face: the south face is dead", ""))
     store.close()
-    store = opened(tmp_path)
+    store = open_store(tmp_path)
     night(store, T0 + DAY_S)
     store.close()
     assert "No alarm was raised, and none was on." in page_of_the_second_day(tmp_path)

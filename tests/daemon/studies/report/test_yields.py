@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from daemon.base.records import FACES
-from daemon.studies.report.material import of_tables
+from daemon.studies.report.material import split_by_tracker
 from daemon.studies.report.page import findings_of
 from daemon.studies.report.span import ReportSpan
 from daemon.studies.report.words import summary
 from daemon.studies.report.yields import module_kwh
 from solar.calibration.selection import clear_sky_ghi
-from solar.energy import build_sky, faces_under, lay_out
+from solar.energy import arrange_daylight, build_sky, face_irradiances
 from solar.ephemeris import DAY_S, Site, sun_direction
 
 SITE = Site(48.7, 0.0, 0.0)
@@ -25,7 +25,7 @@ EMPTY = pd.DataFrame(index=pd.DatetimeIndex([], tz="UTC", name="time"))
 def material(**tables):
     """Return the material of the day in June; tables that are not given are empty."""
     kinds = ("scans", "decisions", "moves", "poses", "modes", "events", "curves")
-    (found,) = of_tables(
+    (found,) = split_by_tracker(
         {kind: tables.get(kind, EMPTY) for kind in kinds},
         ReportSpan(T0, T0 + DAY_S, "day"),
         SITE,
@@ -59,8 +59,8 @@ def clear_day():
     minutes = T0 + np.arange(0.0, DAY_S, 60.0)
     utc_s = minutes[sun_direction(minutes, *SITE)[:, 2] > 0.0]
     _, dni, dhi = clear_sky_ghi(SITE, utc_s)
-    weather = lay_out(utc_s, dni, dhi, SITE)
-    readings = faces_under(build_sky(weather, "isotropic"), 0.2)
+    weather = arrange_daylight(utc_s, dni, dhi, SITE)
+    readings = face_irradiances(build_sky(weather, "isotropic"), 0.2)
     return table(
         weather.utc_s,
         **{f"{face}_w_m2": readings[:, number] for number, face in enumerate(FACES)},

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from daemon.base.errors import ExitCode, InterruptedEarlyError, UserError
-from daemon.base.process import as_ctrl_c
+from daemon.base.process import signals_as_ctrl_c
 from daemon.studies.spread.errors import WorkersError
-from daemon.studies.spread.workers import HERE, Workers, gather, spread
+from daemon.studies.spread.workers import THIS_PROCESS, Workers, gather, run_tasks
 from tests.system.processes import wait_until
 
 
@@ -66,8 +66,8 @@ def sleep_or_wait_for_who_sleeps(task):
 
 def test_each_result_comes_with_the_place_of_its_task_in_whichever_order_they_end():
     numbers = list(range(20))
-    for workers in (HERE, Workers(3)):
-        assert dict(spread(square, numbers, workers)) == {place: place**2 for place in numbers}
+    for workers in (THIS_PROCESS, Workers(3)):
+        assert dict(run_tasks(square, numbers, workers)) == {place: place**2 for place in numbers}
         assert gather(square, numbers, workers, lambda _share: None) == ([number**2 for number in numbers], None)
 
 
@@ -90,23 +90,23 @@ def test_an_error_that_a_task_raises_in_a_worker_is_raised_in_this_process():
 
 
 def test_a_task_that_fails_leaves_the_results_that_were_done_before_it():
-    results, ended = gather(refuse_two, [0, 1, 2, 3], HERE, lambda _share: None)
+    results, ended = gather(refuse_two, [0, 1, 2, 3], THIS_PROCESS, lambda _share: None)
     assert (results, str(ended)) == ([0, 1], "not 2")
 
 
 def test_ctrl_c_keeps_the_results_that_are_done_and_reports_the_interruption():
-    results, ended = gather(interrupt, [0, 1, 2, 3], HERE, lambda _share: None)
+    results, ended = gather(interrupt, [0, 1, 2, 3], THIS_PROCESS, lambda _share: None)
     assert results == [0, 1]
     assert isinstance(ended, InterruptedEarlyError)
     with pytest.raises(KeyboardInterrupt):
-        gather(interrupt, [2], HERE, lambda _share: None)
+        gather(interrupt, [2], THIS_PROCESS, lambda _share: None)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
 @pytest.mark.parametrize("number", ["SIGTERM", "SIGHUP"])
 def test_sigterm_and_sighup_keep_the_results_that_are_done_and_end_the_workers_in_mid_task(tmp_path, number):
     tasks = [(tmp_path, False), (tmp_path, True)]
-    with as_ctrl_c():
+    with signals_as_ctrl_c():
         results, ended = gather(
             sleep_or_wait_for_who_sleeps,
             tasks,
@@ -123,13 +123,13 @@ def test_sigterm_and_sighup_keep_the_results_that_are_done_and_end_the_workers_i
 def test_no_worker_outlives_the_process_that_began_it(tmp_path):
     program = """
         import os, sys, time
-        from daemon.studies.spread.workers import Workers, spread
+        from daemon.studies.spread.workers import Workers, run_tasks
 
         def say_and_sleep(folder):
             open(f"{folder}/{os.getpid()}", "w").close()
             time.sleep(600)
 
-        list(spread(say_and_sleep, sys.argv[1:] * 2, Workers(2)))
+        list(run_tasks(say_and_sleep, sys.argv[1:] * 2, Workers(2)))
     """
     with subprocess.Popen([sys.executable, "-c", textwrap.dedent(program), tmp_path]) as process:
         wait_until(lambda: len(list(tmp_path.iterdir())) == 2, "two workers")

@@ -12,7 +12,7 @@ SMP_NOON = (601, 100, 1, 0, 0, 997, 997)
 
 def smp(**changes):
     words = dict(zip(("kind", "model", "mode", "status", "scale", "value", "raw"), SMP_NOON, strict=True)) | changes
-    return Smp().told(tuple(word & 0xFFFF for word in words.values()))
+    return Smp().decode(tuple(word & 0xFFFF for word in words.values()))
 
 
 def test_the_captured_registers_of_an_smp_at_noon_give_997_w_m2():
@@ -89,22 +89,22 @@ def test_type_numbers_beside_those_of_smp_pyranometers_are_refused(kind):
 
 def test_sr20_values_are_divided_by_the_scale_that_the_sensor_reports():
     make = Hukseflux()
-    assert make.told((1, 0x7C4F)).w_m2 == 973.59, "in hundredths, until it says otherwise"
+    assert make.decode((1, 0x7C4F)).w_m2 == 973.59, "in hundredths, until it says otherwise"
     assert make.serial((4321, 0, 0)) == 4321
     model = tuple(ord(low) | ord(high) << 8 for low, high in ("SR", "20", "-D", "2 ", "  "))
     assert make.identify((4321, 0, 0), (2225, 1234, 100, 100), model) == ("SR20-D2 no. 4321", 4321)
-    assert make.told((1, 0x7C4F)).w_m2 == 973.59
+    assert make.decode((1, 0x7C4F)).w_m2 == 973.59
     make.identify((4321, 0, 0), (2225, 1234, 1000, 100), model)
-    assert make.told((1, 0x7C4F)).w_m2 == 97.359
-    assert make.told((0xFFFF, 0xFE0C)).w_m2 == -0.5
+    assert make.decode((1, 0x7C4F)).w_m2 == 97.359
+    assert make.decode((0xFFFF, 0xFE0C)).w_m2 == -0.5
     make.identify((4321, 0, 0), (2225, 1234, 1, 100), model)
-    assert make.told((1, 0x7C4F)).w_m2 == 97359.0
+    assert make.decode((1, 0x7C4F)).w_m2 == 97359.0
     with pytest.raises(WrongSensorError, match="has the scale 0 in register 8"):
         make.identify((4321, 0, 0), (2225, 1234, 0, 100), model)
 
 
 def test_hukseflux_values_at_the_ends_of_the_number_range_are_over_range():
-    assert {Hukseflux().told(ends).flaw for ends in ((0x7FFF, 0xFFFF), (0x8000, 0))} == {"over-range"}
+    assert {Hukseflux().decode(ends).flaw for ends in ((0x7FFF, 0xFFFF), (0x8000, 0))} == {"over-range"}
 
 
 def test_a_device_that_is_not_a_hukseflux_sr_is_refused():
@@ -141,12 +141,12 @@ def test_a_configured_register_map_reads_every_number_type_and_word_order():
     for used, words, w_m2 in MAPPED:
         make = make_of("map", RegisterMapSettings(**used))
         assert make.data.length == len(words)
-        assert make.told(words).w_m2 == pytest.approx(w_m2)
+        assert make.decode(words).w_m2 == pytest.approx(w_m2)
 
 
 def test_a_configured_register_map_reports_the_bits_of_its_status_register():
     make = make_of("map", RegisterMapSettings(number_type="int16", register_number=8, status_register=9, status_bits=5))
-    assert make.told((300, 4)).note == "reports status bits 0x0004"
+    assert make.decode((300, 4)).note == "reports status bits 0x0004"
 
 
 @pytest.mark.parametrize(
@@ -164,4 +164,4 @@ def test_a_register_map_identifies_its_sensor_by_serial_number_if_it_names_that_
 
 
 def test_a_nan_in_a_float_register_gives_a_missing_value():
-    assert make_of("apogee", RegisterMapSettings()).told((0x7FC0, 0)).flaw == "missing"
+    assert make_of("apogee", RegisterMapSettings()).decode((0x7FC0, 0)).flaw == "missing"

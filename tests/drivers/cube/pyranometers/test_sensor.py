@@ -6,9 +6,9 @@ import math
 import pytest
 
 from drivers.cube.pyranometers.driver import SensorLine
-from drivers.cube.pyranometers.makes import Block, Told, WhoAmI
+from drivers.cube.pyranometers.makes import Block, SensorIdentity, SensorReading
 from drivers.cube.pyranometers.sensor import BusSensor
-from drivers.errors import ConnectError, DeadlineError, LinkLostError, RefusedError, UnreachedError
+from drivers.errors import ConnectError, DeadlineError, LinkLostError, RefusedError, UnavailableError
 
 DATA, PROOF, LONG_PROOF = Block(3, 0, 1), Block(3, 40, 1), Block(3, 40, 2)
 
@@ -23,13 +23,13 @@ class Make:
         self.proof = proof
 
     def identify(self, proof, *_more):
-        return WhoAmI(f"no. {proof[0]}", proof[0])
+        return SensorIdentity(f"no. {proof[0]}", proof[0])
 
     def serial(self, proof):
         return proof[0]
 
-    def told(self, data):
-        return Told(float(data[0]))
+    def decode(self, data):
+        return SensorReading(float(data[0]))
 
 
 class Bus:
@@ -132,7 +132,7 @@ def test_a_garbled_answer_of_a_sensor_is_not_reported_as_silence():
 def test_a_busy_sensor_is_reported_from_the_third_miss_on_without_doubt_about_its_make():
     bus = Bus()
     sensor = bus.sensor()
-    bus.wrong = UnreachedError("cube", "address 2 is busy (exception 6)")
+    bus.wrong = UnavailableError("cube", "address 2 is busy (exception 6)")
     for said in ("", "", "the south sensor (address 2) does not answer: address 2 is busy (exception 6)"):
         bus.now_s += 100.0
         assert bus.reads(sensor).flaw == "missing"

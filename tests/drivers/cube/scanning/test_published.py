@@ -31,7 +31,7 @@ class Published:
     async def drain(self, quiet_s):
         pass
 
-    async def has_unasked(self):
+    async def discard_unsolicited(self):
         return False
 
     async def send(self, text):

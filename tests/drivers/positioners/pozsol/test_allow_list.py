@@ -69,12 +69,18 @@ def public(scope, kind):
 
 def test_the_pozsol_driver_has_exactly_the_public_names_that_the_allow_list_tests_cover():
     assert public(PozsolPositioner, inspect.isroutine) == {
-        "open", "close", "read_telemetry", "fields", "has_lines", "disable_autonomy", "move_to", "stop", "halt", "home",
-        "clear_faults", "repeated_s", "standing", "recall",
+        "open", "close", "read_telemetry", "fields", "has_modem_lines", "disable_autonomy", "move_to", "stop", "halt",
+        "home", "clear_faults", "repeated_s", "standing", "recall",
     }  # fmt: skip
-    assert public(SerialPort, inspect.isroutine) == {"read", "write", "discard", "echoes", "has_lines", "close"}
-    assert public(telemetry.TelemetryReader, inspect.isroutine) == {"attend", "stop", "close"}
-    assert public(positioner_line.SerialLine, inspect.isroutine) == {"open", "close", "send", "state", "has_lines"}
+    assert public(SerialPort, inspect.isroutine) == {"read", "write", "discard", "has_echo", "has_modem_lines", "close"}
+    assert public(telemetry.TelemetryReader, inspect.isroutine) == {"read_promptly", "stop", "close"}
+    assert public(positioner_line.SerialLine, inspect.isroutine) == {
+        "open",
+        "close",
+        "send",
+        "state",
+        "has_modem_lines",
+    }
     assert public(positioner_line, inspect.isroutine) == {"open_port"}
     assert public(positioner, inspect.isroutine) == set()
     assert public(positioner, inspect.isclass) == {"PozsolPositioner"}

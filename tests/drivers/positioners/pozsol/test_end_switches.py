@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck, off_switch
+from drivers.positioners.pozsol.end_switches import AxisBBitDetector, SwitchCheck, leave_switch_position
 from drivers.positioners.pozsol.geometry import AxisSetup, Proportional, Triangle
 from drivers.positioners.pozsol.wire import B_OUT_BIT_LPC, B_OUT_BIT_STM, parse_status
 
@@ -15,7 +15,7 @@ OPEN, LOW = parse_status("0"), parse_status(str(1 << 19))
 
 def found(*looks, word=FIRST, late_s=0.0):
     """Return where B's bits are after looks, each with a time [s] and a position; the status is `late_s` older."""
-    layout = BLayout(None)
+    layout = AxisBBitDetector(None)
     for time_s, position in looks:
         layout.update(position, time_s, word, time_s - late_s)
     return layout.bit
@@ -70,7 +70,7 @@ def test_a_status_over_0_7_s_from_the_position_reveals_nothing_about_the_bits_of
 
 
 def test_a_preset_place_of_the_bits_of_axis_b_stays_while_b_does_not_move():
-    layout = BLayout(B_OUT_BIT_LPC)
+    layout = AxisBBitDetector(B_OUT_BIT_LPC)
     layout.update(1.0, 1.0, FIRST, 1.0)
     assert layout.bit == B_OUT_BIT_LPC
 
@@ -101,25 +101,25 @@ def test_an_end_switch_is_suspected_from_a_first_contradicting_status_until_the_
     check, seen = SwitchCheck("a", A), []
     for status, status_s in ((OPEN, 1.0), (LOW, 2.0), (LOW, 2.0), (OPEN, 3.0)):
         check.update(2 * FAR, status, status_s)
-        seen.append(check.suspects)
+        seen.append(check.is_pending)
     assert seen == [False, True, True, False]
 
 
 def test_an_axis_in_doubt_is_sent_five_degrees_off_its_switch_unless_it_might_pass_its_limits():
     slew = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0)
-    assert off_switch(slew, 0.0, None) is None, "nothing is in doubt"
-    assert off_switch(slew, 0.0, 300.0) == 50
-    assert off_switch(slew, 25.0, 300.0) == 50
-    assert off_switch(slew, 25.1, 300.0) is None, "it is off its switch"
-    assert off_switch(slew, 0.0, 849.0) == 50
-    assert off_switch(slew, 0.0, 849.1) is None, "it may stand at its other end"
-    assert off_switch(slew, 0.0, math.nan) is None
+    assert leave_switch_position(slew, 0.0, None) is None, "nothing is in doubt"
+    assert leave_switch_position(slew, 0.0, 300.0) == 50
+    assert leave_switch_position(slew, 25.0, 300.0) == 50
+    assert leave_switch_position(slew, 25.1, 300.0) is None, "it is off its switch"
+    assert leave_switch_position(slew, 0.0, 849.0) == 50
+    assert leave_switch_position(slew, 0.0, 849.1) is None, "it may stand at its other end"
+    assert leave_switch_position(slew, 0.0, math.nan) is None
     narrow = AxisSetup(Proportional(10.0, 0.0), 2.0, 5.0)
-    assert off_switch(narrow, 0.0, -20.0) is None
+    assert leave_switch_position(narrow, 0.0, -20.0) is None
     offset = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0, zero_offset=7.5)
-    assert off_switch(offset, 0.0, 300.0) == 43
+    assert leave_switch_position(offset, 0.0, 300.0) == 43
     far = AxisSetup(Proportional(10.0, 0.0), 2.0, 90.0, zero_offset=400.0)
-    assert off_switch(far, 0.0, 300.0) == 0, "its offset alone takes it off"
-    assert off_switch(far, 0.0, 500.0) is None, "and so far that it may pass its other end"
+    assert leave_switch_position(far, 0.0, 300.0) == 0, "its offset alone takes it off"
+    assert leave_switch_position(far, 0.0, 500.0) is None, "and so far that it may pass its other end"
     downwards = AxisSetup(Proportional(-10.0, 90.0), 0.0, 88.0)
-    assert off_switch(downwards, 0.0, 300.0) == 50
+    assert leave_switch_position(downwards, 0.0, 300.0) == 50

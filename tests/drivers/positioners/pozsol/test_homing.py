@@ -67,15 +67,15 @@ def test_a_trusted_count_may_be_off_by_half_a_degree_at_the_switch_without_a_mis
     assert ended(0.0, remain=side * 0.99 * SLIP).mismatch == ""
     told = ended(0.0, remain=side * 1.01 * SLIP).mismatch
     assert told.startswith(f"axis A met its end switch where its count was {side * 1.01 * SLIP:g}, not 0")
-    assert ended(0.0, remain=side * 1.01 * SLIP).stands == pytest.approx(side * 1.01 * SLIP)
-    assert ended(0.0, remain=side * 0.99 * SLIP).stands is None
+    assert ended(0.0, remain=side * 1.01 * SLIP).position_if_switch_wrong == pytest.approx(side * 1.01 * SLIP)
+    assert ended(0.0, remain=side * 0.99 * SLIP).position_if_switch_wrong is None
 
 
 @pytest.mark.parametrize("how", [{}, {"trusted": False, "stood": 100.0}])
 def test_a_count_at_the_switch_that_is_not_a_number_is_a_mismatch(how):
     told = ended(0.0, remain=math.nan, **how)
     assert told.mismatch.startswith("axis A met its end switch where its count was nan, not ")
-    assert told.stands is None
+    assert told.position_if_switch_wrong is None
 
 
 def test_a_run_without_motion_is_a_mismatch_if_the_former_position_is_not_a_number():
@@ -135,7 +135,7 @@ def late(status_s, place, aim, status, time_s, homing):
 
 
 def test_a_status_from_before_the_homing_command_or_before_the_axis_stood_is_ignored():
-    homing = HomingRun("a", A, 100.0, 1.0, trusted=True, stood=100.0)
+    homing = HomingRun("a", A, 100.0, 1.0, trusted=True, last_trusted_position=100.0)
     assert not late(0.9, 100.0, 100.0, HOMING, 1.2, homing).begun
     assert not late(1.0, 100.0, 100.0, HOMING, 1.2, homing).begun
     assert late(1.1, 100.0, 100.0, HOMING, 1.3, homing).begun

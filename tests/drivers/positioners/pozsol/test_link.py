@@ -94,10 +94,10 @@ def test_the_modem_lines_are_set_as_configured_when_the_port_is_opened(positione
         async with positioner_host() as host:
             monkeypatch.setattr(fcntl, "ioctl", ioctl)
             port = open_port(str(host.port.link), dtr=dtr, rts=rts)
-            assert port.has_lines()
+            assert port.has_modem_lines()
             assert lines == {termios.TIOCM_DTR: dtr, termios.TIOCM_RTS: rts}
             port.close()
-            assert not port.has_lines()
+            assert not port.has_modem_lines()
 
     asyncio.run(scene())
 
@@ -108,7 +108,7 @@ def test_a_port_without_modem_lines_is_used_and_reported_to_have_none(positioner
             line = SerialLine(lambda: open_port(str(host.port.link), dtr=False, rts=False), time.monotonic)
             positioner = PozsolPositioner(line, time.monotonic, A, B)
             assert (await positioner.open()).board == "36A1"
-            assert positioner.has_lines() is False
+            assert positioner.has_modem_lines() is False
             await positioner.close()
 
     asyncio.run(scene())

@@ -13,7 +13,7 @@ from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.link import LinkState
 from drivers.positioners.pozsol.positioner import PozsolPositioner
 from drivers.positioners.pozsol.table import FieldTable
-from drivers.positioners.pozsol.watch import FAST, SLOW, PositionerWatch
+from drivers.positioners.pozsol.watch import FAST_FIELDS, SLOW_FIELDS, PositionerWatch
 from drivers.positioners.pozsol.wire import BUTTON_BIT, RESET_BIT, Field
 from sim_drivers.pozsol.core import PositionerCore
 from sim_drivers.pozsol.setup import Setup
@@ -216,7 +216,7 @@ def test_the_doubt_after_a_restart_ends_once_both_axes_have_been_homed():
 
 
 def test_the_link_is_lost_when_axis_fields_are_older_than_2_s_or_slow_fields_older_than_8_s():
-    texts = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
+    texts = dict.fromkeys(FAST_FIELDS, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
     clock = [0.0]
 
     def look(ages_s):
@@ -227,16 +227,16 @@ def test_the_link_is_lost_when_axis_fields_are_older_than_2_s_or_slow_fields_old
         return watch.read(LinkState(table.snapshot()))
 
     assert look({}).supply_v == 24.0
-    for field in (*FAST, *SLOW):
-        limit_s = 2.0 if field in FAST else 8.0
+    for field in (*FAST_FIELDS, *SLOW_FIELDS):
+        limit_s = 2.0 if field in FAST_FIELDS else 8.0
         assert look({field: limit_s - 0.1})
         with pytest.raises(LinkLostError, match=rf"has been silent for {limit_s + 0.1:.1f} s"):
             look({field: limit_s + 0.1})
     with pytest.raises(LinkLostError, match=r"has been silent for 2\.1 s"):
-        look(dict.fromkeys(FAST, 2.1) | dict.fromkeys(SLOW, 4.0))
+        look(dict.fromkeys(FAST_FIELDS, 2.1) | dict.fromkeys(SLOW_FIELDS, 4.0))
 
 
-REST = dict.fromkeys(FAST, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
+REST = dict.fromkeys(FAST_FIELDS, b"0.0") | {Field.SUPPLY: b"24.00", Field.STATUS: b"0000", Field.MODE: b"ok"}
 
 
 def at_rest(clock, **texts):
@@ -304,7 +304,7 @@ def test_a_count_that_changed_during_silence_is_in_doubt_unless_a_move_or_a_butt
     watch, values = at_rest([100.0], **{"A_POSITION": b"30.0", "A_DESTINATION": b"30.0"} | before)
     watch.read(LinkState(values, 100.0))
     _, lost = at_rest([100.0], **{"A_POSITION": b"0.0"} | after)
-    seen = watch.read(LinkState(lost, 100.0, unseen_s=100.0))
+    seen = watch.read(LinkState(lost, 100.0, moved_unseen_s=100.0))
     assert seen.reference_doubt.startswith(doubt) if doubt else seen.reference_doubt == ""
     assert watch.standing()[0] == pytest.approx(stands, abs=0.1)
 
@@ -335,7 +335,7 @@ def test_repeated_s_gives_a_time_only_for_the_last_reading_and_only_while_nothin
     assert watch.repeated_s(seen, LinkState(dict(values), 101.0)) is None, "something has come"
     assert watch.repeated_s(seen, LinkState(values, 101.0, jumped_s=100.5)) is None
     assert watch.repeated_s(seen, LinkState(values, 101.0, restarted_s=100.5)) is None
-    watch.begin_run("a", seen, 101.0)
+    watch.begin_reference_run("a", seen, 101.0)
     assert watch.repeated_s(watch.read(again), again) is None, "a run ends by time alone"
 
 
@@ -343,6 +343,6 @@ def test_a_reference_run_trusts_the_starting_count_only_of_an_axis_that_is_not_i
     watch, values = at_rest([100.0], A_POSITION=b"30.0", B_POSITION=b"40.0")
     seen = watch.read(LinkState(values, 100.0))
     watch.reference.note("x", "A was turned by hand", "a")
-    a, b = (watch.begin_run(axis, seen, 101.0) for axis in ("a", "b"))
+    a, b = (watch.begin_reference_run(axis, seen, 101.0) for axis in ("a", "b"))
     assert (a.start, a.trusted) == (30.0, False)
     assert (b.start, b.trusted) == (40.0, True)

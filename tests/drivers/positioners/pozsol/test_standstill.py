@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.positioners.pozsol.end_switches import BLayout, SwitchCheck
+from drivers.positioners.pozsol.end_switches import AxisBBitDetector, SwitchCheck
 from drivers.positioners.pozsol.geometry import AxisSetup, Triangle
 from drivers.positioners.pozsol.homing import AxisObservation, HomingRun
 from drivers.positioners.pozsol.reference import Reference
@@ -81,7 +81,7 @@ def test_a_reference_run_reports_an_end_switch_that_contradicts_the_count():
 @pytest.mark.parametrize("start", [B_OUT_BIT_STM, B_OUT_BIT_LPC])
 @pytest.mark.parametrize(("way", "bits"), [(1.0, (0,)), (-1.0, (1,)), (-1.0, (1, 2))])
 def test_the_place_of_the_status_bits_of_axis_b_is_found_only_when_b_moves(start, way, bits):
-    layout, word = BLayout(None), sum(1 << start + bit for bit in bits)
+    layout, word = AxisBBitDetector(None), sum(1 << start + bit for bit in bits)
     for index in range(6):
         layout.update(100.0, 0.12 * index, word, 0.12 * index)
     assert layout.bit is None, "nothing is guessed of an axis that stands"

@@ -43,7 +43,7 @@ class Wire:
         self._pieces.put(None)
         assert self.closed.wait(PATIENCE_S)
 
-    def echoes(self):
+    def has_echo(self):
         return self.echo
 
     def write(self, data):
@@ -159,7 +159,7 @@ class Resting:
             self.woken.set()
         return REST
 
-    def echoes(self):
+    def has_echo(self):
         return False
 
     def close(self):
@@ -176,7 +176,7 @@ def test_screens_are_gathered_until_a_command_is_sent():
         if unit.woken.wait(0.001):
             break
         # Each command keeps the reader from gathering for a second of the unit's clock.
-        reader.attend()
+        reader.read_promptly()
     else:
         pytest.fail("a command does not end the gathering")
     reader.close()

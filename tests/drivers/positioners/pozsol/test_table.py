@@ -46,7 +46,7 @@ def test_a_large_change_after_an_unplanned_pause_counts_as_unseen_motion_and_not
         table.take(axis_a(angle_deg), now_s)
     assert table.get(Field.A_ANGLE).number == 20.0
     assert table.jumped_s == pytest.approx(jumped_s)
-    assert table.unseen_s == pytest.approx(unseen_s), "it may have gone there"
+    assert table.moved_unseen_s == pytest.approx(unseen_s), "it may have gone there"
 
 
 def garbled(screen, dice):
@@ -69,7 +69,7 @@ def test_taking_a_block_of_screens_gives_the_same_table_as_taking_its_fields_one
         for _ in range(dice.choice((1, 6, 12))):
             now_s += 0.02
             data += garbled(core.next_screen(now_s), dice)
-        tokens = stream.cut(data)
+        tokens = stream.feed_tokens(data)
         at_once.take(tokens, now_s)
         for token in tokens:
             singly.take([token], now_s)

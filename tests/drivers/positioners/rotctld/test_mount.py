@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.positioners.rotctld.driver import RotctldSettings
-from drivers.positioners.rotctld.mount import Mount, RotatorPosition, UnreachableError, angles, pointing
+from drivers.positioners.rotctld.mount import Mount, RotatorPosition, UnreachableError, angles, position_from_angles
 from solar.frames import Limits, azimuth_from_direction, equator_azimuth_deg, normal_from_angles
 
 FULL = Mount(0.0, 360.0, 0.0, 90.0, 180.0)
@@ -19,7 +19,7 @@ def mount(azimuth, elevation=(0.0, 90.0), equator=180.0):
 @given(st.floats(-50, 50), st.floats(15, 90), st.sampled_from([48.7, -33.9]))
 def test_tracker_angles_are_converted_to_azimuth_and_elevation_of_their_normal_and_back(a_deg, b_deg, latitude_deg):
     equator_deg = equator_azimuth_deg(latitude_deg)
-    found = pointing(a_deg, b_deg, equator_deg)
+    found = position_from_angles(a_deg, b_deg, equator_deg)
     azimuth_deg, elevation_deg = azimuth_from_direction(normal_from_angles(a_deg, b_deg), latitude_deg)
     assert found.elevation_deg == pytest.approx(float(elevation_deg), abs=1e-4)
     if elevation_deg < 89.9:
@@ -112,7 +112,7 @@ def test_the_ends_of_the_azimuth_range_belong_to_the_range():
     [((-180, 180), 190.0, -170.0), ((0, 360), -10.0, 350.0), ((-180, 450), 400.0, 400.0), ((0, 90), 200.0, 200.0)],
 )
 def test_a_reported_azimuth_is_taken_in_the_turn_of_the_range(turns, said, counted):
-    assert mount(turns).counted(said) == counted
+    assert mount(turns).unwrap_azimuth(said) == counted
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_a_reported_azimuth_is_taken_in_the_turn_of_the_range(turns, said, count
     ],
 )
 def test_a_reported_azimuth_near_an_end_of_the_range_continues_from_the_previous_reading(turns, before, said, counted):
-    assert mount(turns).counted(said, before) == pytest.approx(counted)
+    assert mount(turns).unwrap_azimuth(said, before) == pytest.approx(counted)
 
 
 def test_an_angle_that_is_not_a_number_is_unreachable():

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from drivers.positioners.rotctld.protocol import ReplyStream, command, state_of
+from drivers.positioners.rotctld.protocol import ReplyStream, command, parse_state
 
 # As rotctld of Hamlib 4.5.4 sends it for its dummy rotator.
 STATE = (
@@ -32,7 +32,7 @@ def test_replies_are_read_correctly_from_pieces_of_any_size():
         position, refused, nameless, state = replies
         assert (position.command, position.number("Azimuth"), position.number("Elevation")) == ("get_pos", 12.5, 30.0)
         assert (refused.command, refused.error, nameless.command, nameless.error) == ("set_pos", 1, "", 8)
-        assert state_of(state) == (1, (-180.0, 450.0), (0.0, 90.0), "AzEl")
+        assert parse_state(state) == (1, (-180.0, 450.0), (0.0, 90.0), "AzEl")
 
 
 def test_blanks_at_the_ends_of_the_lines_of_a_reply_are_ignored():
@@ -49,10 +49,10 @@ def test_a_value_that_is_no_finite_number_is_an_error(text):
 
 def test_a_dump_state_without_a_rotator_kind_is_understood_and_one_without_limits_is_refused():
     (older,) = ReplyStream().feed(STATE.replace(b"South Zero: 0\nrot_type=AzEl\ndone\n", b""))
-    assert state_of(older).kind == ""
+    assert parse_state(older).kind == ""
     (lacking,) = ReplyStream().feed(STATE.replace(b"Maximum Elevation: 90.000000\n", b""))
     with pytest.raises(ValueError, match="Maximum Elevation is missing"):
-        state_of(lacking)
+        parse_state(lacking)
 
 
 def test_an_endless_stream_without_a_reply_is_given_up():

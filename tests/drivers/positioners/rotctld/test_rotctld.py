@@ -231,7 +231,7 @@ def test_a_rotctld_that_hangs_is_given_up_at_the_deadline(start_rotctld, run):
             with pytest.raises(ConnectError, match="did not answer get_info"):
                 await driver.open()
         finally:
-            server.go_on()
+            server.resume()
         await driver.open()
 
     run(driver_of(server.place, telemetry_stale_s=0.5), act)

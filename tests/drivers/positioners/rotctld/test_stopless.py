@@ -37,7 +37,7 @@ def test_a_rotator_without_a_stop_that_stands_outside_the_configured_range_stays
 def test_a_rotator_without_a_stop_that_has_run_slightly_past_its_range_is_sent_to_its_end(place, stays_at):
     async def scenario(driver, rotator, now):
         rotator.faults.add("stopless")
-        rotator.turns = RotatorRange(90.0, 270.0, 20.0, 90.0)
+        rotator.rotator_range = RotatorRange(90.0, 270.0, 20.0, 90.0)
         rotator.turn(*place, now())
         await asyncio.sleep(60)
         await driver.halt()

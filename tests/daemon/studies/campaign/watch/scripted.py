@@ -21,7 +21,7 @@ class Scripted:
         self.plugged = True
         self.is_served = True
         self.wind_m_s = 3.0
-        self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained=None)
+        self.motion = SimpleNamespace(connected=True, homing=False, target=None, doubt=None, unexplained_motion=None)
         self.motion.last_move_started_s, self.motion.last_move = 0.0, None
         self.records = []
         self.close_looks = 0
@@ -31,13 +31,13 @@ class Scripted:
         self.is_silent = self.is_gone = self.has_slew_drives = False
         self.lowered = ""
         self.per_deg = 5.0
-        self.called = ""
+        self.text_prefix = ""
         self.settings = Settings.model_validate({})
         self.service = SimpleNamespace(sun_elevation_deg=lambda utc_s: self.sun_deg)
         self.unit = self
         self.watch = watch
         watch.attach(self)
-        watch.service_begins()
+        watch.note_service_start()
         self.wait(20)
 
     def truth(self):
@@ -55,7 +55,7 @@ class Scripted:
     def is_lowered(self, axis):
         return axis == self.lowered
 
-    def course(self, axis, now_s):
+    def position_and_destination(self, axis, now_s):
         self.close_looks += 1
         position = self.at[axis] * (-self.per_deg if self.is_lowered(axis) else self.per_deg)
         return position, self.destination[axis]
@@ -79,8 +79,8 @@ class Scripted:
         """Let the service order a move and the unit take it, or the driver say that it did not."""
         self.motion.target, self.motion.last_move_started_s = (a, b), self.now_s
         with contextlib.suppress(ConnectionError), self.watch.sending((a, b)):
-            self.watch.packet(b"$\x2c%g" % a, self.now_s)
-            self.watch.packet(b"$\x30%g" % b, self.now_s)
+            self.watch.note_packet(b"$\x2c%g" % a, self.now_s)
+            self.watch.note_packet(b"$\x30%g" % b, self.now_s)
             self.destination = {
                 "a": a * (-self.per_deg if self.is_lowered("a") else self.per_deg),
                 "b": b * (-self.per_deg if self.is_lowered("b") else self.per_deg),
@@ -90,7 +90,7 @@ class Scripted:
 
     def sends_stop(self):
         self.motion.target = None
-        self.watch.packet(b"$9s\r", self.now_s)
+        self.watch.note_packet(b"$9s\r", self.now_s)
 
 
 def promises(plant):

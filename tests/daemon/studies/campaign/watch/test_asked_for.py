@@ -48,7 +48,7 @@ def test_the_watch_accepts_a_stow_that_is_done_under_way_failed_or_prevented_by_
     elif why == "it stands there":
         plant.at = {"a": 0.5, "b": 89.5}
     else:
-        plant.watch.lasting = 2
+        plant.watch.active_faults = 2
     in_a_storm(plant).wait(100)
     assert promises(plant) == []
 
@@ -60,7 +60,7 @@ def test_the_watch_gives_a_stow_its_time_again_after_it_was_under_way_or_a_perso
     plant.wait(5)
     plant.motion.target = None
     plant.wait(11)
-    plant.watch.disturbs()
+    plant.watch.note_disturbance()
     plant.wait(11)
     assert promises(plant) == []
     plant.wait(3)

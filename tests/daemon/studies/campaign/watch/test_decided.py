@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.records import Mode
 from daemon.config.settings import Settings
-from daemon.studies.campaign.watch.decided import Decided
+from daemon.studies.campaign.watch.decided import DecisionCheck
 from daemon.tracker.wishes import Wish, Wishes
 from solar.frames import Angles
 
@@ -42,8 +42,8 @@ class Woken:
             truth=lambda: Angles(0.0, 60.0),
         )
         self.found = []
-        self._watch = Decided(lambda promise, text: self.found.append(f"{promise}: {text}"))
-        self._watch.wakes(self.mount, slept_s, WOKE_S)
+        self._watch = DecisionCheck(lambda promise, text: self.found.append(f"{promise}: {text}"))
+        self._watch.note_wake_up(self.mount, slept_s, WOKE_S)
 
     def send(self, at_s, move_s=0.0):
         """Send a target, at first or again, in a move that began at `move_s`."""

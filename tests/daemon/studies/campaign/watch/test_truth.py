@@ -4,7 +4,7 @@ import pytest
 
 from daemon.base.records import Event, FaceReading, Mode, ModeChange, Quality, Scan
 from daemon.rigs.campaign.faults import FORGED_W_M2
-from daemon.studies.campaign.watch.explained import Counted
+from daemon.studies.campaign.watch.explained import AxisCount
 from tests.daemon.studies.campaign.watch.scripted import promises
 
 
@@ -65,9 +65,9 @@ def test_an_axis_may_run_out_after_a_stop_for_3_s(plant, lasts_s):
 
 
 def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(plant):
-    plant.watch.homes("a")
+    plant.watch.note_homing("a")
     plant.sends_stop()
-    plant.watch.packet(b"$95\r", plant.now_s)
+    plant.watch.note_packet(b"$95\r", plant.now_s)
     plant.motion.homing = True
     plant.wait(30, a=-30)
     assert promises(plant) == []
@@ -77,11 +77,11 @@ def test_a_reference_run_is_explained_as_long_as_the_service_says_that_it_is_on(
 
 
 def test_motion_is_explained_while_a_person_holds_the_buttons_and_not_afterwards(plant):
-    plant.watch.explained.held(is_held=True, now_s=plant.now_s)
-    plant.watch.stop_is_asked()
+    plant.watch.active_orders.note_button(is_held=True, now_s=plant.now_s)
+    plant.watch.note_stop_request()
     plant.wait(20, a=20)
     assert promises(plant) == []
-    plant.watch.explained.held(is_held=False, now_s=plant.now_s)
+    plant.watch.active_orders.note_button(is_held=False, now_s=plant.now_s)
     plant.wait(8, a=8)
     assert set(promises(plant)) == {"unexplained-motion", "moves-under-stop"}
 
@@ -91,13 +91,13 @@ def test_motion_that_cannot_be_stopped_breaks_no_promise_until_it_can_be_stopped
     if lost == "unplugged":
         plant.plugged = False
     elif lost == "deaf":
-        plant.watch.deaf(is_deaf=True)
+        plant.watch.note_deafness(is_deaf=True)
     else:
         plant.is_served = False
     plant.wait(60, a=30)
     assert promises(plant) == []
     plant.plugged = plant.is_served = True
-    plant.watch.deaf(is_deaf=False)
+    plant.watch.note_deafness(is_deaf=False)
     plant.wait(20, a=10)
     assert promises(plant) == ["unexplained-motion"]
 
@@ -107,7 +107,7 @@ def test_motion_that_cannot_be_stopped_breaks_no_promise_until_it_can_be_stopped
 def test_the_watch_notices_motion_later_than_700_ms_after_a_stop_or_maintenance(plant, latch, lasts_s):
     plant.order(40, 60)
     plant.wait(2, a=2)
-    plant.watch.stop_is_asked() if latch == "stop" else plant.watch.maintenance_begins()
+    plant.watch.note_stop_request() if latch == "stop" else plant.watch.note_maintenance_start()
     plant.sends_stop()
     plant.wait(lasts_s, a=lasts_s)
     plant.wait(3)
@@ -117,23 +117,23 @@ def test_the_watch_notices_motion_later_than_700_ms_after_a_stop_or_maintenance(
 
 
 def test_a_move_that_the_positioner_begins_by_itself_under_a_stop_may_last_2_s(plant):
-    plant.watch.stop_is_asked()
+    plant.watch.note_stop_request()
     plant.wait(5)
-    plant.watch.moves_itself()
+    plant.watch.note_self_motion()
     plant.wait(1.8, a=1)
     plant.wait(5)
     assert promises(plant) == []
-    plant.watch.moves_itself()
+    plant.watch.note_self_motion()
     plant.wait(3, a=1)
     assert "moves-under-stop" in promises(plant)
 
 
 def test_the_watch_notices_a_target_under_a_stop_before_anything_moves(plant):
-    plant.watch.stop_is_asked()
+    plant.watch.note_stop_request()
     plant.wait(5)
     plant.order(10, 60)
     assert promises(plant) == ["moves-under-stop"]
-    plant.watch.stop_is_released()
+    plant.watch.note_stop_release()
 
 
 @pytest.mark.parametrize(("to_deg", "count_off"), [(50.01, 0.0), (50.1, 0.0), (50.2, 5.0)])
@@ -165,7 +165,7 @@ def test_the_watch_notices_a_target_while_an_axis_still_moves(plant):
 @pytest.mark.parametrize("excused", [False, True])
 def test_the_watch_notices_a_wrong_count_that_the_service_does_not_doubt(plant, excused):
     plant.count_off = 5.0
-    plant.watch.reference.excused = excused
+    plant.watch.count_check.excused = excused
     plant.wait(60)
     assert promises(plant) == ([] if excused else ["believes-a-wrong-count"])
     plant.watch.violations.clear()
@@ -185,7 +185,7 @@ def test_the_watch_notices_a_tracker_that_tracks_in_a_storm(plant):
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOW, Mode.HOLD])
 def test_the_watch_notices_a_tracker_that_goes_on_tracking_after_a_gust(plant, mode):
     plant.control.mode = mode
-    plant.watch.gust()
+    plant.watch.note_gust()
     plant.wait(70)
     assert set(promises(plant)) == ({"storm"} if mode is Mode.TRACKING else set())
 
@@ -219,8 +219,8 @@ def test_small_turns_a_minute_apart_are_not_added_up_to_a_turn_that_must_be_repo
 @pytest.mark.parametrize("cause", [False, True])
 def test_the_watch_notices_an_alarm_of_motion_that_never_happened(plant, cause):
     if cause:
-        plant.watch.disturbs()
-    plant.motion.unexplained = "A moved from 3 to 4 degrees without an order"
+        plant.watch.note_disturbance()
+    plant.motion.unexplained_motion = "A moved from 3 to 4 degrees without an order"
     plant.wait(5)
     assert reports(plant) == ([] if cause else ["false-alarm"])
 
@@ -229,7 +229,7 @@ def test_motion_while_no_service_ran_justifies_an_alarm_later(plant):
     plant.is_served = False
     plant.wait(3, a=3.0)
     plant.is_served = True
-    plant.motion.unexplained = "A moved from 0 to 3 degrees without an order"
+    plant.motion.unexplained_motion = "A moved from 0 to 3 degrees without an order"
     plant.wait(5)
     assert reports(plant) == []
 
@@ -237,13 +237,13 @@ def test_motion_while_no_service_ran_justifies_an_alarm_later(plant):
 @pytest.mark.parametrize("excused", [False, True])
 def test_the_watch_notices_a_storm_that_does_not_end_in_the_stow_position(plant, excused):
     plant.control.mode, plant.wind_m_s = Mode.STOW, 25.0
-    plant.watch.lasting = 2 if excused else 1
+    plant.watch.active_faults = 2 if excused else 1
     plant.wait(500)
     assert promises(plant) == ([] if excused else ["stow"] * len(promises(plant)))
     assert bool(promises(plant)) is not excused
     plant.watch.violations.clear()
     plant.at = {"a": 0.0, "b": 90.0}
-    plant.watch.disturbs()
+    plant.watch.note_disturbance()
     plant.wait(500)
     assert promises(plant) == []
 
@@ -271,7 +271,7 @@ def test_the_watch_notices_a_scan_with_forged_or_implausible_readings_marked_as_
         west=face,
         zenith=face,
     )
-    plant.watch.scan(scan)
+    plant.watch.note_scan(scan)
     assert promises(plant) == broken
 
 
@@ -280,7 +280,9 @@ def test_motion_of_an_axis_is_explained_only_in_the_direction_in_which_its_count
     plant.lowered = lowered
     plant.order(30.0, 60.0)
     plant.destination["a"] = -150.0
-    plant.watch.explained.confirmed(*(Counted(*plant.course(axis, 0.0), plant.per_deg) for axis in "ab"))
+    plant.watch.active_orders.confirm(
+        *(AxisCount(*plant.position_and_destination(axis, 0.0), plant.per_deg) for axis in "ab")
+    )
     plant.wait(8.0, a=8.0)
     assert promises(plant) == broken
 
@@ -299,17 +301,17 @@ def test_the_rest_of_a_move_is_measured_with_the_count_of_the_positioner_for_a_d
 
 def test_motion_of_a_positioner_that_is_not_heard_breaks_no_promise(plant):
     plant.is_silent = True
-    plant.watch.link_changes()
+    plant.watch.note_link_change()
     plant.wait(60, a=30)
     assert promises(plant) == []
 
 
 def test_an_alarm_of_motion_with_a_wrong_count_is_not_a_false_alarm(plant):
     plant.count_off = 5.0
-    plant.watch.reference.excused = True
+    plant.watch.count_check.excused = True
     plant.wait(60)
     plant.wait(1.0, a=0.3)
-    plant.motion.unexplained = "A moved from 3.0 to 3.3 degrees without an order"
+    plant.motion.unexplained_motion = "A moved from 3.0 to 3.3 degrees without an order"
     plant.wait(5)
     assert reports(plant) == []
 
@@ -325,7 +327,7 @@ def test_the_watch_checks_a_move_under_way_closely_a_few_times_and_not_ten_times
 
 
 def test_the_watch_notices_a_reference_run_that_goes_on_over_2_s_after_the_service_has_ended_it(plant):
-    plant.watch.packet(b"$95\r", plant.now_s)
+    plant.watch.note_packet(b"$95\r", plant.now_s)
     plant.motion.homing = True
     plant.wait(20, a=-20)
     plant.motion.homing = False
@@ -338,7 +340,7 @@ def test_the_watch_notices_a_reference_run_that_goes_on_over_2_s_after_the_servi
 def test_an_alarm_of_motion_in_the_middle_of_an_ordered_move_is_a_false_alarm(plant):
     plant.order(40, 60)
     plant.wait(32, a=16)
-    plant.motion.unexplained = "A has moved"
+    plant.motion.unexplained_motion = "A has moved"
     plant.wait(0.1, a=0.05)
     assert reports(plant) == ["false-alarm"]
 
