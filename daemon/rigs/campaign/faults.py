@@ -268,6 +268,8 @@ _AXIS_LASTING = ("hall_loss", "cable", "switch_closed", "switch_open", "ignores_
 _AXIS_AT_ONCE = ("overcurrent", "pulse_loss", "destination", "slip")
 PROCESS_FAULTS = ("kill", "kill_torn", "end")
 """Faults that end the process and start another one."""
+FACE_FAULTS = ("face_stuck", "face_shaded")
+"""Faults of one face: the first number of their value says of which."""
 
 FAULTS: dict[str, PlantFault] = {
     "unplug_positioner": PlantFault(

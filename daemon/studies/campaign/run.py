@@ -15,7 +15,7 @@ from typing import Any
 from daemon.base.records import Mode, ModeChange, Move
 from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.rigs.campaign.build import build_plant
-from daemon.rigs.campaign.faults import FAULTS, PROCESS_FAULTS, PlantFault
+from daemon.rigs.campaign.faults import FACE_FAULTS, FAULTS, PROCESS_FAULTS, PlantFault, Value
 from daemon.service.operator_commands import COMMANDS_FOR_ALL
 from daemon.studies.campaign.bounded import WARM_AFTER_S, GrowthCheck, LogLine
 from daemon.studies.campaign.door import CommandChannel, DirectCommandChannel, SharedCommandChannel
@@ -102,7 +102,7 @@ class CampaignRun:
         ]
         self._bounded = bounded
         self._fault_tasks: set[asyncio.Task[None]] = set()
-        self._lasting_faults: Counter[tuple[str, int]] = Counter()
+        self._lasting_faults: Counter[tuple[str, int, Value]] = Counter()
         loop.set_exception_handler(self._unhandled)
 
     def _fails(self, promise: str, text: str) -> None:
@@ -187,8 +187,10 @@ class CampaignRun:
         fault, plant = FAULTS[event.name], self.plant
         if event.name in PROCESS_FAULTS and not plant.is_served:
             return
-        key = event.name, 0 if fault.is_shared else place
-        mount, watches = plant.mounts[place], self._watches_of_fault(*key)
+        # Two faces can be faulty at once: each of them ends with its own event.
+        face = event.value[:1] if event.name in FACE_FAULTS else ()
+        key = event.name, 0 if fault.is_shared else place, face
+        mount, watches = plant.mounts[place], self._watches_of_fault(*key[:2])
         for watch in watches:
             _note_fault_begin(watch, event.name, event.value, fault)
         self._lasting_faults[key] += 1
@@ -224,11 +226,10 @@ class CampaignRun:
         for task in lasting:
             task.cancel()
         await asyncio.gather(*lasting, return_exceptions=True)
-        for (name, place), count in self._lasting_faults.items():
+        for (name, place, face), count in self._lasting_faults.items():
             fault = FAULTS[name]
             if count and fault.end is not None and name not in PROCESS_FAULTS:
-                value = next(event.value for event in self._schedule.events if event.name == name)
-                await _await_if_needed(fault.end(self.plant.mounts[place], value))
+                await _await_if_needed(fault.end(self.plant.mounts[place], face))
                 for watch in self._watches_of_fault(name, place):
                     _note_fault_end(watch, name, fault)
         for device in self.plant.plugged:

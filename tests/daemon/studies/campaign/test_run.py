@@ -8,14 +8,17 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.errors import UserError
+from daemon.base.timeloop import virtual_time
 from daemon.rigs.campaign.faults import FAULTS
 from daemon.studies.campaign.attack import Campaign
+from daemon.studies.campaign.bounded import GrowthCheck
+from daemon.studies.campaign.door import DirectCommandChannel
 from daemon.studies.campaign.draw import COMMANDS, FAULT_SPANS, ROTATOR_FAULT_SPANS, draw_schedule
 from daemon.studies.campaign.habits import AXIS_VARIANTS, CHOICES
 from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.matrix import chosen_schedules, settings_of
 from daemon.studies.campaign.reduce import reduce_schedule
-from daemon.studies.campaign.run import run_schedule
+from daemon.studies.campaign.run import CampaignRun, run_schedule
 from daemon.studies.campaign.schedule import Schedule, ScheduledEvent
 from daemon.studies.spread.workers import THIS_PROCESS, Workers
 from sim_drivers.pozsol.core import FAULTS as UNIT_FAULTS
@@ -61,6 +64,18 @@ def test_every_fault_can_begin_and_end_without_a_broken_promise():
         ]
     hours = (events[-1].at_s + 60) / 3600
     assert run_schedule(replace(draw_schedule(1, hours), events=tuple(events)), heal=False).violations == ()
+
+
+@pytest.mark.parametrize("lasts_s", [30.0, 3600.0], ids=["within-the-schedule", "to-the-end"])
+def test_of_several_faces_that_are_faulty_at_once_each_works_again(tmp_path, lasts_s):
+    broken = tuple(ScheduledEvent(60.0 + face, "fault", "face_stuck", (float(face), 0.0), lasts_s) for face in range(4))
+    schedule = replace(draw_schedule(1, 0.05), events=broken)
+    with virtual_time() as runner:
+        loop = runner.get_loop()
+        running = CampaignRun(loop, schedule, tmp_path, GrowthCheck(loop.time), DirectCommandChannel())
+        runner.run(running.carry_out(heal=lasts_s > 3600.0 * schedule.hours))
+    plant = running.plant
+    assert min(plant.scene.sensor_voltage(face, plant.clock.utc()) for face in range(4)) > 1e-4
 
 
 @pytest.mark.parametrize(
