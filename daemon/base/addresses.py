@@ -22,7 +22,7 @@ class BridgeError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """An IP address and a UDP port."""
+    """An IP address and a port."""
 
     host: str
     port: int

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.base.errors import ExitCode, UserError
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.operate import TokenOption, WhyOption, send_command
@@ -88,7 +89,7 @@ def notify(
             "--config",
             "-c",
             metavar="FILE",
-            envvar="HELIOCUBE_CONFIG",
+            envvar=CONFIG_VARIABLE,
             help="Configuration file; its sections notify and api are used.",
         ),
     ] = None,

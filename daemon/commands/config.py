@@ -10,10 +10,11 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.base.records import FACES
 from daemon.commands.answers import JsonOption, print_json, say
 from daemon.commands.file_check import absent_addresses, check_file, missing_requirements_by_role
-from daemon.commands.options import CONFIG_VARIABLE, CubeOption, PositionerOption, RoleChoice
+from daemon.commands.options import CubeOption, PositionerOption, RoleChoice
 from daemon.commands.wrapping import wrapped
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from daemon.config.sections import RowsSettings
     from daemon.config.settings import Settings
 
-KEY_FILE_NAME = "bridge.key"
-TOKEN_FILE_NAME = "api.token"  # noqa: S105 - the name of a file
 
 app = typer.Typer(
     help="Check a configuration file, write a commented one, or update an older one.",
@@ -161,7 +160,7 @@ def write_example(
     from daemon.base.files import write_new
     from daemon.bridge.signing import generate_key, write_key
     from daemon.config.plugged import CUBE, DRIVER, POSITIONER
-    from daemon.config.template import FILE_NAME, render_config
+    from daemon.config.template import FILE_NAME, KEY_FILE_NAME, TOKEN_FILE_NAME, render_config
     from daemon.store.place import RECORDS_NAME
 
     file, key, token = directory / FILE_NAME, directory / KEY_FILE_NAME, directory / TOKEN_FILE_NAME

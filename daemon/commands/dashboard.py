@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.commands.answers import say
 from daemon.commands.options import SERVICE
 
@@ -26,7 +27,7 @@ def dashboard(
             "--config",
             "-c",
             metavar="FILE",
-            envvar="HELIOCUBE_CONFIG",
+            envvar=CONFIG_VARIABLE,
             help="Configuration file; its sections dashboard and api are used.",
         ),
     ] = None,

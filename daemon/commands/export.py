@@ -8,10 +8,11 @@ from typing import Annotated
 
 import typer
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.base.errors import UserError
 from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say
-from daemon.commands.options import CONFIG_VARIABLE, FILES, ForceOption, TableFormat
+from daemon.commands.options import FILES, ForceOption, TableFormat
 from daemon.studies.inputs import instant
 
 app = typer.Typer()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperOption
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.base.errors import UserError
 from daemon.config.simulation import LARGEST_SEED
 
@@ -42,7 +43,6 @@ PositionerOption = Annotated[
         help="Driver of the positioner, as in instruments.positioner.driver; an unknown name prints the list.",
     ),
 ]
-CONFIG_VARIABLE = "HELIOCUBE_CONFIG"
 # Where deploy/ puts the configurations; each is read by the unit of its role.
 CONFIG_FOLDER = Path("/etc/heliocube")
 ConfigOption = Annotated[

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.base.errors import UserError
 from daemon.commands.answers import JsonOption, message_printer, print_json
-from daemon.commands.options import CONFIG_VARIABLE, CubeOption, TrackerOption
+from daemon.commands.options import CubeOption, TrackerOption
 from daemon.commands.recording import record_transcript
 
 if TYPE_CHECKING:

@@ -12,6 +12,8 @@ from daemon.config.keys import Drivers, Key, SettingsTable
 Role = Literal["both", "cube", "tracker"]
 
 FILE_NAME = "heliocube.toml"
+KEY_FILE_NAME = "bridge.key"
+TOKEN_FILE_NAME = "api.token"  # noqa: S105 - the name of a file
 
 _WIDTH = 100
 _NOT_READ = {

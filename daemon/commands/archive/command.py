@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from daemon.api.client import CONFIG_VARIABLE
 from daemon.base.errors import UserError
 from daemon.base.words import pluralise
 from daemon.commands.answers import JsonOption, explain_interruption, message_printer, print_json, warn
-from daemon.commands.options import CONFIG_VARIABLE
 from daemon.studies.inputs import instant
 
 if TYPE_CHECKING:

@@ -16,9 +16,8 @@ from daemon.config.file import ConfigError, load_settings, override
 from daemon.config.migrate import RENAMED_KEYS
 from daemon.config.section import read_tables
 from daemon.config.settings import Settings
-from daemon.config.template import FILE_NAME
+from daemon.config.template import FILE_NAME, KEY_FILE_NAME, TOKEN_FILE_NAME
 
-KEY_FILE_NAME, TOKEN_FILE_NAME = "bridge.key", "api.token"
 NEW_KEY = "new"
 _NONE = ("none", "-")
 _YES = {"y": "yes", "n": "no"}
