@@ -23,8 +23,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from sim_drivers.network_files import WeatherFileFormat, detect_file_format
 from sim_drivers.weather import Conditions, WeatherError
+from sim_drivers.weather_file_formats import WeatherFileFormat, detect_file_format
 from solar.ephemeris import Site, sun_position
 from solar.frames import Array
 from solar.irradiance import HIGHEST_W_M2, LOWEST_W_M2, kilowatts_note

@@ -19,8 +19,8 @@ from daemon.api.pages import CachedPage, Feed, ScanLog, event_of, to_json
 from daemon.api.refusals import ApiRefusals
 from daemon.api.sun import sun_json
 from daemon.api.turns import ReadThrottle
+from daemon.base.client_slots import ClientSlots, EventStream
 from daemon.base.clock import END_UTC_S, FIRST_UTC_S, Clock
-from daemon.base.places import ClientSlots, EventStream
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import COMMAND_NAMES, LONGEST_BODY, BodyError, Operators, TooManyError, parse
 from daemon.service.recent import RecentRecords

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daemon.archive.address import ArchiveAddress, PagesRefusedError
-from daemon.archive.aside import write_accepted_records
+from daemon.archive.refused_records import write_accepted_records
 from daemon.archive.writer import ArchiveWriter, SentPage
 from daemon.base.errors import UserError
 from daemon.store.batches import Batch, BatchError, decoded, encoded, is_sound, next_batch, with_identifier

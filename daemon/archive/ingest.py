@@ -12,7 +12,7 @@ from random import Random
 from typing import Any, TypeVar
 
 from daemon.archive.address import ArchiveAddress, ArchiveError, ArchiveUnreachableError, PagesRefusedError
-from daemon.archive.aside import RefusedRecordFinder
+from daemon.archive.refused_records import RefusedRecordFinder
 from daemon.archive.writer import ArchiveWriter, SentPage, WriteResult
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError

@@ -159,9 +159,9 @@ def write_example(
     from daemon.base.errors import UserError
     from daemon.base.files import write_new
     from daemon.bridge.signing import generate_key, write_key
-    from daemon.config.plugged import CUBE, DRIVER, POSITIONER
+    from daemon.config.plugin_sections import CUBE, DRIVER, POSITIONER
     from daemon.config.template import FILE_NAME, KEY_FILE_NAME, TOKEN_FILE_NAME, render_config
-    from daemon.store.place import RECORDS_NAME
+    from daemon.store.records_folder import RECORDS_NAME
 
     file, key, token = directory / FILE_NAME, directory / KEY_FILE_NAME, directory / TOKEN_FILE_NAME
     values: dict[str, Any] = {
@@ -220,7 +220,7 @@ _NEXT = {
 
 
 def _summary(settings: "Settings") -> dict[str, str]:
-    from daemon.config.plugged import MULTIPLEXED
+    from daemon.config.plugin_sections import MULTIPLEXED
 
     site, cube, bridge, safety = settings.site, settings.cube, settings.bridge, settings.safety
     channels = "inputs " + ", ".join(f"{name} {getattr(cube, name).channel}" for name in FACES)

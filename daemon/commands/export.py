@@ -83,7 +83,7 @@ def store_directory(command: str, store: str | None, config: Path | None) -> str
         return store
     if store is not None or config is None:
         raise UserError(f"{command} needs either --store DIR or --config FILE to find the store, or {CONFIG_VARIABLE}")
-    from daemon.commands.kept import find_records_folder
+    from daemon.commands.records_folder import find_records_folder
     from daemon.config.file import load_settings
 
     directory = find_records_folder(load_settings(config), config, os.environ)

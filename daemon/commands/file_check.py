@@ -36,7 +36,7 @@ def check_file(
     from daemon.api.token import TokenError, load_token
     from daemon.base.errors import UserError
     from daemon.bridge.signing import KeyFileError, load_key
-    from daemon.commands.kept import with_records_folder
+    from daemon.commands.records_folder import with_records_folder
     from daemon.config.file import ConfigError, load_settings_with_topics
     from daemon.config.section import resolve_file_paths
     from daemon.cube.calibration import calibration_to_run

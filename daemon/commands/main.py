@@ -196,7 +196,7 @@ def run(
         if with_dashboard:
             stack.enter_context(dashboard.dashboard_beside(settings.api.listen, settings.dashboard.listen))
         # Only now: a mistake in an option or in the file is reported before scientific libraries are loaded.
-        from daemon.commands.kept import with_default_store_folder
+        from daemon.commands.records_folder import with_default_store_folder
         from daemon.commands.run import run_service
         from daemon.service.rig import Role
 

@@ -187,7 +187,7 @@ def _settings(
     kept: bool = False,
 ) -> "Settings":
     """Return the settings for one instrument; with `kept`, also the folder in which its service keeps its state."""
-    from daemon.commands.kept import with_records_folder
+    from daemon.commands.records_folder import with_records_folder
     from daemon.config.file import load_settings, override
     from daemon.config.settings import Settings, settings_of_tracker
 

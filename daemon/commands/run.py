@@ -30,7 +30,7 @@ from daemon.base.timeloop import new_loop
 from daemon.bridge.key_file import KeyFileWatch
 from daemon.bridge.signing import generate_key, load_keys
 from daemon.commands.status.live import LiveView
-from daemon.commands.status.log_above import ScreenLogStream
+from daemon.commands.status.screen_log import ScreenLogStream
 from daemon.config.settings import Settings
 from daemon.config.simulation import DEFAULT_START
 from daemon.cube.calibration import calibration_to_run
@@ -43,7 +43,7 @@ from daemon.service.rig import Rig, Role
 from daemon.service.service import Service
 from daemon.service.snapshot import Snapshot, snapshot
 from daemon.service.state import state_json
-from daemon.store.place import lock_folder
+from daemon.store.records_folder import lock_folder
 from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, ReleaseWatch
 from daemon.store.settings_kept import CUBE_FILE_NAME as CUBE_SETTINGS_NAME
 from daemon.store.settings_kept import FILE_NAME as SETTINGS_NAME

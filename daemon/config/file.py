@@ -14,7 +14,7 @@ from daemon.base.files import parse_toml, toml_text
 from daemon.base.words import pluralise
 from daemon.config import keys, rules
 from daemon.config.keys import Drivers
-from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS, SectionProblem, validate_plugin_sections
+from daemon.config.plugin_sections import DRIVER, PLUGIN_SECTIONS, SectionProblem, validate_plugin_sections
 from daemon.config.section import resolve_path
 from daemon.config.sections import Sections
 from daemon.config.settings import NamedSettings, Settings

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, SerializeAsAny
 
-from daemon.config.plugged import CUBE, POSITIONER
+from daemon.config.plugin_sections import CUBE, POSITIONER
 from daemon.config.section import Section
 from drivers.settings import (
     CubeDriverSettings,

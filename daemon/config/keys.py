@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS, PluginSection
+from daemon.config.plugin_sections import DRIVER, PLUGIN_SECTIONS, PluginSection
 from daemon.config.sections import Sections
 
 _LONGEST_VALUE = 60

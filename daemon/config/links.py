@@ -7,7 +7,7 @@ from pydantic import Field
 
 from daemon.base.addresses import DEFAULT_DASHBOARD, DEFAULT_LISTEN, parse_address
 from daemon.config.section import Duration, FilePath, Section, read_tables, validate_section
-from daemon.config.texts import (
+from daemon.config.text_types import (
     ArchiveUrl,
     ClockTime,
     Group,

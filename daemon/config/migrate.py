@@ -14,7 +14,7 @@ from daemon.base.errors import UserError
 from daemon.base.files import first_free, numbered_paths, rewrite_file, toml_text, write_new
 from daemon.base.installation import release
 from daemon.config.file import load_settings
-from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS
+from daemon.config.plugin_sections import DRIVER, PLUGIN_SECTIONS
 from daemon.config.trackers import NAME_FORM, NAME_IN_WORDS
 
 RENAMED_KEYS = {f"{path}.{each.former}": DRIVER for path, each in PLUGIN_SECTIONS.items() if each.former}

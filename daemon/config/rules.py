@@ -10,7 +10,7 @@ from daemon.base.records import FACES
 from daemon.base.words import pluralise
 from daemon.config.conflict import Conflict
 from daemon.config.link_rules import LINK_RULES
-from daemon.config.plugged import LAW, MULTIPLEXED
+from daemon.config.plugin_sections import LAW, MULTIPLEXED
 from daemon.config.sections import Sections
 from drivers.settings import canonical_address, exclusive_resource
 from solar.frames import equator_azimuth_deg

@@ -20,7 +20,7 @@ from daemon.config.links import (
     StoreSettings,
     SunspecSettings,
 )
-from daemon.config.plugged import LAW, LOAD
+from daemon.config.plugin_sections import LAW, LOAD
 from daemon.config.section import Duration, FilePath, NotNegative, Section
 from daemon.config.simulation import SimulationSettings
 from drivers.settings import LoadSettings, Positive, with_defaults

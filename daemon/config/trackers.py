@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from pydantic import Field
 
-from daemon.config.plugged import DRIVER, PLUGIN_SECTIONS, dump_explicit_values
+from daemon.config.plugin_sections import DRIVER, PLUGIN_SECTIONS, dump_explicit_values
 from daemon.config.section import Section
 from drivers.settings import canonical_address
 from solar.frames import equator_azimuth_deg

@@ -12,10 +12,10 @@ from daemon.base.reconnect import Outage, PeriodicSchedule, Reconnection
 from daemon.base.records import FACES, Event, FaceReading, Quality, Scan
 from daemon.config.sections import CubeSettings
 from daemon.cube.calibration import DarkOffsets, calibrated_irradiance
+from daemon.cube.face_alarms import SensorAlarm
 from daemon.cube.face_watch import FaceWatch
 from daemon.cube.guarded_cube import GuardedCube
 from daemon.cube.repeats import Repeats
-from daemon.cube.told_faces import SensorAlarm
 from drivers.errors import DeviceError, DriverHungError
 from drivers.interfaces import Cube, CubeReading, FaceFlaw, FaceSample
 

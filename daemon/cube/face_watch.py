@@ -12,7 +12,7 @@ from daemon.base.records import FACES
 from daemon.base.sleeps import SleepGauge
 from daemon.config.sections import CubeSettings, SiteSettings
 from daemon.cube.contradictions import MINUTES, Contradictions
-from daemon.cube.told_faces import face_reads_text, join_names, since_text, update_since
+from daemon.cube.face_alarms import face_reads_text, join_names, since_text, update_since
 from solar.ephemeris import SunDirection
 from solar.faces.contradiction import misfits
 from solar.faces.jumps import find_jumps

@@ -21,8 +21,8 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from daemon.base.client_slots import ClientSlots, EventStream
 from daemon.base.clock import Clock
-from daemon.base.places import ClientSlots, EventStream
 from daemon.dashboard.guard import PageGuard
 from daemon.dashboard.sessions import LONGEST_IDLE_S, Session, Sessions
 from daemon.dashboard.upstream import Fleet, Upstream

@@ -1,7 +1,7 @@
 """What motion shows of itself as alarms, and when motor currents are one."""
 
 from daemon.base.alarms.alarms import Alarms
-from daemon.motion.reference import Doubts, fault_text
+from daemon.motion.doubts import Doubts, fault_text
 from drivers.interfaces import PositionerIdentity, Telemetry
 
 _LASTS_S = 2.0

@@ -16,9 +16,9 @@ from daemon.base.clock import Clock
 from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.sleeps import SleepGauge
 from daemon.motion.alarms import AutonomousModeMonitor, Currents, update_alarms
-from daemon.motion.deafness import StopMonitor
+from daemon.motion.doubts import Doubts
 from daemon.motion.place import KeptPlace
-from daemon.motion.reference import Doubts
+from daemon.motion.stop_monitor import StopMonitor
 from daemon.motion.watch import BLOCKED_UNTIL_CLEARED, AxisWatch, MotionAnomaly
 from drivers.errors import DeviceError, StillMovingError
 from drivers.interfaces import Positioner, PositionerIdentity, Repeating, Telemetry

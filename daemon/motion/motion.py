@@ -18,11 +18,11 @@ from daemon.base.records import Event, Pose, Record, Target
 from daemon.base.state import StateFolder
 from daemon.base.timeloop import wait_or_poll
 from daemon.config.sections import MotionSettings
+from daemon.motion.doubts import Doubts, remedy_of
 from daemon.motion.guard import Guard
-from daemon.motion.parting import try_for
+from daemon.motion.last_call import try_for
 from daemon.motion.place import KeptPlace, displacement_text
 from daemon.motion.polling import OFTEN, Polling
-from daemon.motion.reference import Doubts, remedy_of
 from daemon.motion.rehoming import Rehoming
 from daemon.motion.retry import Retries
 from daemon.motion.runs import Mover

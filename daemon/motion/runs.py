@@ -13,9 +13,9 @@ from daemon.base.records import Event, Move, MoveOutcome, Pose, Record, Target
 from daemon.base.sleeps import SleepGauge
 from daemon.base.timeloop import wait_at_most
 from daemon.config.sections import MotionSettings
+from daemon.motion.doubts import NOT_FINISHED
 from daemon.motion.guard import Guard
 from daemon.motion.move_watch import MoveWatch, Progress
-from daemon.motion.reference import NOT_FINISHED
 from daemon.motion.retry import Retries
 from drivers.errors import DeviceError, RefusedError
 from drivers.interfaces import AxisName, Positioner

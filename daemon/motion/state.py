@@ -4,8 +4,8 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Move, Pose, Target
 from daemon.motion.alarms import AUTONOMOUS_MODE_TEXT
+from daemon.motion.doubts import fault_text
 from daemon.motion.guard import Guard
-from daemon.motion.reference import fault_text
 from daemon.motion.retry import Retries
 from daemon.motion.runs import Mover
 from drivers.errors import RefusedError

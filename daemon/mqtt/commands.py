@@ -10,7 +10,7 @@ from daemon.base.clock import Clock
 from daemon.base.recurrence import LogBudget, RateLimit
 from daemon.config.links import MqttSettings
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.dates import ReplayGuard
+from daemon.mqtt.replay_guard import ReplayGuard
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import URGENT, Command, Operators, parse, refusal_json
 

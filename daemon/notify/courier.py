@@ -23,8 +23,8 @@ from daemon.base.state import StateFolder
 from daemon.config.links import NotifySettings
 from daemon.notify.backlog import Backlog, QuietHours
 from daemon.notify.notices import Notice, ServiceWatch
+from daemon.notify.notification_state import NotificationState, NotificationStateFile
 from daemon.notify.recipients import Recipient
-from daemon.notify.told import NotificationState, NotificationStateFile
 
 log = logging.getLogger("heliocube.notify")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from daemon.base.alarms.kinds import with_tracker_option
 from daemon.base.clock import local_time
-from daemon.notify.told import NotificationState, NotifiedAlarm
+from daemon.notify.notification_state import NotificationState, NotifiedAlarm
 
 # Alarms by tracker (empty for the cube's) and name.
 _Shown = dict[tuple[str, str], dict[str, Any]]

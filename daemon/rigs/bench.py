@@ -18,7 +18,7 @@ from daemon.base.records import FACES
 from daemon.config.file import override
 from daemon.config.keys import Drivers
 from daemon.config.keys import keys as every_key
-from daemon.config.plugged import CUBE, LABJACK, MULTIPLEXED, POSITIONER, SCANNING_METER
+from daemon.config.plugin_sections import CUBE, LABJACK, MULTIPLEXED, POSITIONER, SCANNING_METER
 from daemon.config.settings import Settings
 from daemon.config.simulation import DEFAULT_START
 from daemon.config.template import FILE_NAME, render_config

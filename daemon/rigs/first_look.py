@@ -5,8 +5,7 @@ import asyncio
 from daemon.base.clock import Clock
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion import reference
-from daemon.motion.reference import kept_doubts
+from daemon.motion import doubts
 from daemon.tracker import wishes
 from daemon.tracker.wishes import kept_wishes
 from drivers.errors import RefusedError
@@ -44,10 +43,10 @@ def check_noted_obstacles(settings: Settings, seen: Telemetry) -> None:
             f"is not moved, because {directory / wishes.FILE_NAME} has noted that it is {standstill_reason};"
             " 'heliocube auto' ends that while the service runs, and nothing else does",
         )
-    doubts = kept_doubts(folder, seen)
-    if doubts:
+    noted = doubts.kept_doubts(folder, seen)
+    if noted:
         raise RefusedError(
             "positioner",
-            f"is not moved, because {directory / reference.FILE_NAME} has noted: {'; '.join(doubts)};"
+            f"is not moved, because {directory / doubts.FILE_NAME} has noted: {'; '.join(noted)};"
             " 'heliocube home' or 'heliocube clear' ends that while the service runs",
         )

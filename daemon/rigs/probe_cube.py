@@ -6,7 +6,7 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import MULTIPLEXED
+from daemon.config.plugin_sections import MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
 from daemon.cube.calibration import calibrated_irradiance

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple, cast
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import PYRANOMETERS
+from daemon.config.plugin_sections import PYRANOMETERS
 from daemon.config.settings import Settings
 from drivers.cube.pyranometers.makes import Block, Make, SensorIdentity, SensorReading, WrongSensorError, make_of
 from drivers.cube.pyranometers.settings import MakeName, PyranometersSettings
 from drivers.errors import DeadlineError, RefusedError, UnavailableError
 from drivers.modbus.client import ModbusBus
-from drivers.modbus.paths import ModbusTransport, build_transport
 from drivers.modbus.pdu import READ_HOLDING, READ_INPUT_REGISTERS, write_coil, write_register
+from drivers.modbus.transports import ModbusTransport, build_transport
 from drivers.transcript import Tap, no_tap
 
 Say = Callable[[str], object]

@@ -8,7 +8,7 @@ from daemon.base import plugins
 from daemon.base.clock import Clock, SystemClock
 from daemon.base.errors import UserError
 from daemon.base.kernel_clock import synchronised
-from daemon.config.plugged import LOAD, MULTIPLEXED
+from daemon.config.plugin_sections import LOAD, MULTIPLEXED
 from daemon.config.rules import SELF_TESTS
 from daemon.config.settings import Settings
 from daemon.service.rig import Rig, Role, TrackerInstruments

@@ -15,7 +15,7 @@ from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import LOAD
+from daemon.config.plugin_sections import LOAD
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.measured import CubeInGaps, missing_by_day, weather_notes

@@ -10,7 +10,7 @@ from daemon.base import plugins
 from daemon.base.clock import Clock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
-from daemon.config.plugged import LABJACK, MULTIPLEXED, PYRANOMETERS, SCANNING_METER
+from daemon.config.plugin_sections import LABJACK, MULTIPLEXED, PYRANOMETERS, SCANNING_METER
 from daemon.config.settings import Settings
 from daemon.rigs.real import build_multiplexed_cube, build_voltmeter, cube_surroundings
 from drivers.interfaces import Cube

@@ -23,12 +23,12 @@ from daemon.bridge.sender import BridgeSender, pack
 from daemon.config.settings import Settings
 from daemon.cube.acquisition import Acquisition
 from daemon.cube.calibration import CubeCalibration, ExpiryWatch, calibrated_cube
+from daemon.cube.face_alarms import RemoteFaceAlarm, UnreadFaceAlarm
 from daemon.cube.face_watch import FaceWatch
-from daemon.cube.told_faces import RemoteFaceAlarm, UnreadFaceAlarm
 from daemon.motion.polling import OFTEN, Polling
 from daemon.service.health import LoopWatch, Watchdog
-from daemon.service.inheritance import migrate_state_to_trackers, next_start_number, orphaned_state_text
 from daemon.service.rig import Rig, Role
+from daemon.service.state_migration import migrate_state_to_trackers, next_start_number, orphaned_state_text
 from daemon.service.tracker import Tracker
 from daemon.tracker.phase import Phase
 from daemon.tracker.readings import SharedCache

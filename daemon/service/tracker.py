@@ -18,14 +18,14 @@ from daemon.base.records import Event, ModeChange, Move, Pose, Record, Scan, tag
 from daemon.base.recurrence import LogBudget
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.end import stop_and_confirm
 from daemon.motion.motion import Motion
 from daemon.motion.polling import Polling
+from daemon.motion.shutdown import stop_and_confirm
 from daemon.received.shadow import ActiveTracker, Shadow
 from daemon.received.today import FILE_NAME, ReceivedToday
-from daemon.service.inheritance import LastStart, last_start_file, last_start_utc_s
 from daemon.service.mode_times import ModeTimes
 from daemon.service.rig import Rig, TrackerInstruments
+from daemon.service.state_migration import LastStart, last_start_file, last_start_utc_s
 from daemon.tracker.control import Control
 from daemon.tracker.curves import IvAcquisition
 from daemon.tracker.orders import Orders

@@ -15,10 +15,10 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.files import give_to_folder_owner, make_folder
-from daemon.store.aside import sidecar_files
 from daemon.store.copies import copies_of
 from daemon.store.schema import FILE_NAME, RUN_COLUMNS, UnusableStoreError, check_is_store, columns_of, open_for_writing
 from daemon.store.tables import COLUMNS, Column
+from daemon.store.unusable_store import sidecar_files
 
 _ROWS_AT_ONCE = 1000
 _DAY_S = 86400.0

@@ -10,9 +10,9 @@ from typing import Any
 
 from daemon.base.errors import UserError
 from daemon.base.records import Record, Scan
-from daemon.store.aside import sidecar_obstacles
 from daemon.store.copies import keep_copy
 from daemon.store.tables import COLUMNS, Row, with_irradiances
+from daemon.store.unusable_store import sidecar_obstacles
 
 FILE_NAME = "heliocube.sqlite"
 VERSION = 8
@@ -56,7 +56,7 @@ class StoreError(UserError):
 
 
 class UnusableStoreError(StoreError):
-    """What is in the store's place can never be one; `kind` is one of `daemon.store.aside.KINDS`."""
+    """What is in the store's place can never be one; `kind` is one of `daemon.store.unusable_store.KINDS`."""
 
     def __init__(self, message: str, kind: str) -> None:
         super().__init__(message)

@@ -20,7 +20,6 @@ from daemon.base.clock import Clock
 from daemon.base.reconnect import Outage
 from daemon.base.records import Event, Record
 from daemon.base.words import pluralise
-from daemon.store.aside import aside_text, move_aside
 from daemon.store.schema import (
     FILE_NAME,
     RUN_COLUMNS,
@@ -31,6 +30,7 @@ from daemon.store.schema import (
     open_for_writing,
 )
 from daemon.store.tables import COLUMNS
+from daemon.store.unusable_store import aside_text, move_aside
 
 log = logging.getLogger("heliocube.store")
 

@@ -219,7 +219,7 @@ def settings_for(
         The file, or a choice, cannot be used.
     """
     from daemon.config.file import load_settings, override  # noqa: PLC0415 - as above
-    from daemon.config.plugged import CUBE, DRIVER, POSITIONER, ROTCTLD  # noqa: PLC0415 - as above
+    from daemon.config.plugin_sections import CUBE, DRIVER, POSITIONER, ROTCTLD  # noqa: PLC0415 - as above
     from daemon.config.settings import Settings  # noqa: PLC0415 - as above
 
     chosen = None if weather is None else weather_choice(weather)

@@ -16,8 +16,8 @@ from daemon.base.timeloop import wait_at_most
 from daemon.config.settings import Settings
 from daemon.motion.motion import Motion
 from daemon.tracker.budget import DayBudget
-from daemon.tracker.doors import OperatorInterface
 from daemon.tracker.modes import DataState, Situation, next_mode
+from daemon.tracker.operator_interface import OperatorInterface
 from daemon.tracker.orders import Orders
 from daemon.tracker.parking import Parking
 from daemon.tracker.phase import ALONE, Phase

@@ -13,7 +13,7 @@ from daemon.base import plugins
 from daemon.base.errors import UserError
 from daemon.base.records import FACES, Irradiances, Pose, Quality, Scan, Target
 from daemon.base.state import StateFolder
-from daemon.config.plugged import FALLBACK_LAW, LAW
+from daemon.config.plugin_sections import FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
 from daemon.tracker.law_answers import checked_kept, checked_shown
 from daemon.tracker.law_file import LawFile

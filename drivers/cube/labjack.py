@@ -15,8 +15,8 @@ from pydantic import AfterValidator, Field, WithJsonSchema
 from drivers.errors import DeadlineError, IdentityError, LinkLostError, ProtocolError, RefusedError
 from drivers.interfaces import CubeReading, FaceFlaw, FaceSample
 from drivers.modbus.client import ModbusBus
-from drivers.modbus.paths import ModbusLine, ModbusTransport, TcpTransport, endpoint
 from drivers.modbus.pdu import READ_HOLDING, decode_number, encode_number, write_registers
+from drivers.modbus.transports import ModbusLine, ModbusTransport, TcpTransport, endpoint
 from drivers.settings import CubeDriverSettings, CubeSurroundings, SettingsConflict, SettingsError
 
 DEVICE = "cube"

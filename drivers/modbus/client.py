@@ -5,8 +5,8 @@ import math
 from collections.abc import Callable
 
 from drivers.errors import RefusedError, UnavailableError
-from drivers.modbus.paths import ModbusTransport
 from drivers.modbus.pdu import READ_INPUT_REGISTERS, ModbusRequest, exception_text, read_registers, registers_of
+from drivers.modbus.transports import ModbusTransport
 
 # The device or its gateway is busy, or the gateway does not reach the device: that counts as silence.
 _UNREACHED_CODES = (5, 6, 10, 11)

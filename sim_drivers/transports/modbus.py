@@ -20,7 +20,7 @@ class FramedCore(Protocol):
 
 
 class InMemoryModbus(Cabled):
-    """A `drivers.modbus.paths.ModbusTransport` whose bytes take no time; replies come when the devices have them ready.
+    """A `drivers.modbus.transports.ModbusTransport` whose bytes take no time; devices reply when they are ready.
 
     Parameters
     ----------

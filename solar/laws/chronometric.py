@@ -7,9 +7,9 @@ from solar.ephemeris import sun_direction
 from solar.frames import Array, Limits, angles_within
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.reasons import describe_direction
 from solar.laws.steer import known_pose_or_present
 from solar.laws.three_faces import ThreeFacesLaw
-from solar.laws.words import describe_direction
 from solar.rows.backtrack import backtracked_poses
 from solar.rows.group import TrackerGroup
 

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from solar.ephemeris import Site, SunPosition, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, angles_within, azimuth_from_direction, direction_from_azimuth
-from solar.laws.words import shade_reason
+from solar.laws.reasons import shade_reason
 from solar.rows.backtrack import backtracked_poses
 from solar.rows.group import TrackerGroup
 

@@ -7,9 +7,9 @@ from solar.energy import DaylightWeather, Steer
 from solar.frames import Array, Limits
 from solar.laws import paper
 from solar.laws.law import NO_DIRECTION, DirectionLaw, LawSettings, Moment, TrackerFacts
+from solar.laws.reasons import light_reason
 from solar.laws.steer import steer_by_mean
 from solar.laws.three_faces import ThreeFacesLaw, fill_missing_face
-from solar.laws.words import light_reason
 from solar.rows.group import TrackerGroup
 
 

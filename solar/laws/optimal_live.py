@@ -13,14 +13,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from solar.energy import DaylightWeather, Steer
 from solar.ephemeris import SunPosition, share_of_daylight_left, solar_days, sun_direction, sun_position
 from solar.frames import Angles, Array, Limits, azimuth_from_direction, direction_from_azimuth
-from solar.laws.heard import ReadingHistory
+from solar.laws.history import ReadingHistory
 from solar.laws.law import Aim, Estimates, LawSettings, Moment, Reading, TrackerFacts
 from solar.laws.light import FACES_NEEDED, light_from_faces, usable_faces
 from solar.laws.memory import THRIFT_RANGE, OptimalSettings
 from solar.laws.optimal import Choice, OptimalLaw
+from solar.laws.reasons import move_reason
 from solar.laws.site import ALBEDO_RANGE, GAIN_RANGE, LearnedSite, SiteLearning
 from solar.laws.three_faces import ThreeFacesLaw
-from solar.laws.words import move_reason
 from solar.rows.group import TrackerGroup
 
 DECIDE_EVERY_S = 60.0

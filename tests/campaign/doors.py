@@ -12,7 +12,7 @@ from daemon.service.operator import CommandError, Operator
 from daemon.service.operator_commands import COMMAND_NAMES, Operators
 from daemon.service.recent import RecentRecords
 from daemon.service.snapshot import snapshot
-from daemon.studies.campaign.door import CommandReply, DirectCommandChannel
+from daemon.studies.campaign.command_channel import CommandReply, DirectCommandChannel
 
 _TOKEN = "t" * 43
 _DONE_BY_MQTT_S = 30.0

@@ -33,7 +33,12 @@ IMPORTED = (
         "daemon.rigs.simulated",
         "daemon.rigs.bench",
     ),
-    *("daemon.commands.kept", "daemon.dashboard.serve", "sim_drivers.bench.bench", "sim_drivers.bench.control"),
+    *(
+        "daemon.commands.records_folder",
+        "daemon.dashboard.serve",
+        "sim_drivers.bench.bench",
+        "sim_drivers.bench.control",
+    ),
     *("pvlib.spa", "nidaqmx._grpc_interpreter", "nidaqmx.stream_writers", "pyvisa_py", "psutil"),
 )
 _MOST = 1 << 20

@@ -115,7 +115,7 @@ def fill(
 @app.command()
 def retry(config: ConfigOption = None, to: ToOption = None, as_json: JsonOption = False) -> None:
     """Try again to write the records that were set aside because the database did not take them."""
-    from daemon.archive.aside import retry as write_again
+    from daemon.archive.refused_records import retry as write_again
 
     address = find_archive_address(config, to)
     with explain_interruption(f"what was written so far is in {address}"):

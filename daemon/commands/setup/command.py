@@ -43,7 +43,7 @@ def setup(
     from rich.console import Console
 
     from daemon.commands.setup.dialogue import SetupDialogue
-    from daemon.commands.setup.kept import SetupAnswers, answers_path, keep_answers, load_answers
+    from daemon.commands.setup.saved_answers import SetupAnswers, answers_path, keep_answers, load_answers
     from daemon.commands.setup.screen import SetupScreen
     from daemon.commands.setup.steps import BENCH_RIG, RIG, ROLE
     from daemon.config.template import FILE_NAME
@@ -91,7 +91,7 @@ def _ask_step(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep
     from daemon.commands.setup.steps import MOVE, SUN
 
     if step.name == SUN:
-        from daemon.commands.setup.looks import sun_sentence
+        from daemon.commands.setup.instrument_checks import sun_sentence
 
         screen.say(f"  {sun_sentence(dialogue.settings(), _now_s())}")
     if step.name.endswith((".port", ".line", ".resource")) and step.kind == "key":
@@ -106,7 +106,7 @@ def _ask_step(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep
 
 
 def _name_ports(screen: "SetupScreen") -> None:
-    from daemon.commands.setup.looks import serial_ports
+    from daemon.commands.setup.instrument_checks import serial_ports
 
     names = serial_ports()
     if names:
@@ -134,7 +134,7 @@ def _take(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep", s
 def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") -> float | str:
     """Do an action and return its result; raises `UserError`."""
     from daemon.base.clock import SystemClock
-    from daemon.commands.setup import looks, steps
+    from daemon.commands.setup import instrument_checks, steps
 
     settings, clock = dialogue.settings(), SystemClock()
 
@@ -142,9 +142,9 @@ def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
         screen.say(f"    {text}")
 
     look: dict[str, Callable[[], Coroutine[Any, Any, None]]] = {
-        steps.LOOK_CUBE: lambda: looks.look_at_cube(settings, clock, say),
-        steps.LOOK_POSITIONER: lambda: looks.look_at_positioner(settings, clock, say),
-        steps.LOOK_LOAD: lambda: looks.look_at_load(settings, clock, say),
+        steps.LOOK_CUBE: lambda: instrument_checks.look_at_cube(settings, clock, say),
+        steps.LOOK_POSITIONER: lambda: instrument_checks.look_at_positioner(settings, clock, say),
+        steps.LOOK_LOAD: lambda: instrument_checks.look_at_load(settings, clock, say),
     }
     if step.name in look:
         _run(look[step.name]())
@@ -154,10 +154,10 @@ def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
 
 def _move(dialogue: "SetupDialogue", say: Callable[[str], object]) -> float | str:
     from daemon.base.clock import SystemClock
-    from daemon.commands.kept import with_records_folder
+    from daemon.commands.records_folder import with_records_folder
     from daemon.commands.setup.any_key import stop_keys
     from daemon.commands.setup.first_move import Bounds, first_move
-    from daemon.commands.setup.looks import require_movable
+    from daemon.commands.setup.instrument_checks import require_movable
     from daemon.rigs.first_look import check_noted_obstacles
     from daemon.rigs.real import build_positioner
 

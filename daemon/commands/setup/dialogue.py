@@ -9,7 +9,7 @@ from daemon.base.addresses import CUBE_LISTEN
 from daemon.base.errors import UserError
 from daemon.bridge.signing import load_key
 from daemon.commands import options
-from daemon.commands.setup.kept import Answer, SetupAnswers, answers_path
+from daemon.commands.setup.saved_answers import Answer, SetupAnswers, answers_path
 from daemon.commands.setup.steps import BENCH, BENCH_RIG, KEY, RIG, ROLE, SetupContext, SetupStep, plan
 from daemon.config import keys
 from daemon.config.file import ConfigError, load_settings, override

@@ -14,7 +14,7 @@ from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.options import unit_role
 from daemon.commands.setup.dialogue import SetupDialogue
 from daemon.config.template import render_config
-from daemon.store.place import RECORDS_NAME, SYSTEMD_STATE_FOLDER
+from daemon.store.records_folder import RECORDS_NAME, SYSTEMD_STATE_FOLDER
 
 
 def write_setup_files(dialogue: SetupDialogue, file: Path) -> list[str]:

@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.text import Text
 
 from daemon.commands.setup.dialogue import SetupDialogue
-from daemon.commands.setup.kept import Answer
+from daemon.commands.setup.saved_answers import Answer
 from daemon.commands.setup.steps import SetupStep
 from daemon.config import keys
 

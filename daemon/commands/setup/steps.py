@@ -7,9 +7,9 @@ from typing import Any, Literal
 
 from daemon.base.addresses import parse_address
 from daemon.base.records import FACES
-from daemon.commands.setup.kept import Answer
+from daemon.commands.setup.saved_answers import Answer
 from daemon.config import keys
-from daemon.config.plugged import CUBE, DRIVER, LOAD, MULTIPLEXED, POSITIONER, PYRANOMETERS, PluginSection
+from daemon.config.plugin_sections import CUBE, DRIVER, LOAD, MULTIPLEXED, POSITIONER, PYRANOMETERS, PluginSection
 
 ROLE, RIG, BENCH, KEY = "role", "rig", "bench", "key"
 SUN, FACES_FIT = "sun", "faces fit"

@@ -89,8 +89,8 @@ def cube(
     check_data_files([reference, *filter(None, [sensors])], "readings")
     from daemon.cube.calibration import write_calibration
     from daemon.studies.calibrate import report, request
-    from daemon.studies.calibrate.beside import compare
     from daemon.studies.calibrate.readings import read_reference
+    from daemon.studies.calibrate.reference_comparison import compare
 
     request.check_output_paths(out, plot, force=force)
     serials = request.serials(serial or [])

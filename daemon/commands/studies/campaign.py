@@ -74,7 +74,7 @@ def campaign(
     # This checks only the names, so that a mistake is reported before the simulator is loaded.
     schedules = chosen_schedules(seeds, first, hours, _words(only), _words(without), schedule, trackers, positioner)
     from daemon.commands.progress import progress_bar
-    from daemon.studies.campaign.attack import Campaign
+    from daemon.studies.campaign.campaign import Campaign
     from daemon.studies.campaign.reliability import write_reliability
 
     say, errors = message_printer(as_json=as_json), Console(stderr=True)

@@ -12,7 +12,7 @@ from daemon.base.errors import UserError
 from daemon.base.process import signals_as_ctrl_c
 from daemon.commands.answers import JsonOption, print_json, say, warn
 from daemon.commands.options import ClusterOption, ForceOption, JobsOption, TableFormat, checked_seed, chosen_workers
-from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW
+from daemon.config.plugin_sections import DEFAULT_LAW, FALLBACK_LAW
 from daemon.store.outputs import check_outputs
 from daemon.studies.compare.spans import parse_span
 from daemon.studies.inputs import check_data_files, check_weather_file, instant, parse_site, site_values, weather_choice
@@ -289,7 +289,7 @@ def paper(
     check_outputs(list(_paper_files(out)), "--out", force=force)
     from typing import get_args
 
-    from daemon.config.plugged import law_names
+    from daemon.config.plugin_sections import law_names
     from daemon.config.simulation import WeatherName
     from solar.skies.sky import SKY_MODELS, SkyModel
 
@@ -388,7 +388,7 @@ def _one_of(text: str, known: tuple[Name, ...], option: str) -> Name:
 
 
 def _laws(text: str) -> Any:
-    from daemon.config.plugged import law_names
+    from daemon.config.plugin_sections import law_names
 
     names = [word.strip() for word in text.split(",")]
     if len(names) != 2:

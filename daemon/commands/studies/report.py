@@ -16,7 +16,7 @@ from daemon.commands.export import store_directory
 from daemon.commands.options import FILES, ForceOption, TrackerOption, ZoneOption
 from daemon.commands.progress import progress_bar
 from daemon.commands.studies.simulate import print_written_paths
-from daemon.studies.report.asked import check_pictures, format_of_tables, picture_paths, zone_of
+from daemon.studies.report.choices import check_pictures, format_of_tables, picture_paths, zone_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

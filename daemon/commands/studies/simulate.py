@@ -122,7 +122,7 @@ def check_report_and_zone(
     """
     if out is None and zone is None:
         return None
-    from daemon.studies.report.asked import zone_of
+    from daemon.studies.report.choices import zone_of
 
     local = zone_of(zone)
     if out is None:

@@ -53,7 +53,7 @@ def self_check(
 def _findings(config: Path, role: RoleChoice | None) -> "Iterator[Finding]":
     import os
 
-    from daemon.commands.kept import with_records_folder
+    from daemon.commands.records_folder import with_records_folder
     from daemon.commands.upgrade import machine, running
     from daemon.commands.upgrade.finding import Finding
     from daemon.config.file import load_settings

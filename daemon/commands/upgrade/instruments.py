@@ -7,7 +7,7 @@ from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.commands.upgrade.finding import Finding
-from daemon.config.plugged import LOAD, MULTIPLEXED
+from daemon.config.plugin_sections import LOAD, MULTIPLEXED
 from daemon.config.settings import Settings
 from daemon.rigs.probe_cube import probe_multiplexer, probe_voltmeter
 from daemon.rigs.probe_load import probe_load

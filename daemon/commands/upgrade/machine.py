@@ -15,10 +15,10 @@ from daemon.commands.options import RoleChoice
 from daemon.commands.upgrade.finding import CONFIGURATION, Finding
 from daemon.config.file import ConfigError
 from daemon.config.settings import Settings
-from daemon.store.aside import aside_text
 from daemon.store.copies import missing_space_text
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading, require_link_target, unreadable_store_error
 from daemon.store.tables import COLUMNS
+from daemon.store.unusable_store import aside_text
 
 _MB = 1e6
 # Records of one tracker in a day, as docs/data.md says.

@@ -10,16 +10,16 @@ from daemon.base.files import first_free, give_to_folder_owner, make_folder, rew
 from daemon.base.installation import release
 from daemon.base.state import StateFolder
 from daemon.base.words import pluralise
-from daemon.commands.kept import find_records_folder
 from daemon.commands.options import RoleChoice, unit_role
+from daemon.commands.records_folder import find_records_folder
 from daemon.commands.upgrade.installed import Program
 from daemon.config.file import load_settings
 from daemon.config.migrate import list_backups
 from daemon.config.settings import Settings
 from daemon.store.copies import copies_of, copy_path, version_of
-from daemon.store.place import lock_folder
+from daemon.store.downgrade import downgrade_store, set_aside, version_in
+from daemon.store.records_folder import lock_folder
 from daemon.store.schema import FILE_NAME, VERSION
-from daemon.store.way_back import downgrade_store, set_aside, version_in
 from daemon.tracker.wishes import FILE_NAME as WISHES_NAME
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
 

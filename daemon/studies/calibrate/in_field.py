@@ -9,8 +9,8 @@ import numpy as np
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.base.words import pluralise
-from daemon.studies.calibrate.beside import MEAN_S, values_at, zero_of
 from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings, span_text
+from daemon.studies.calibrate.reference_comparison import MEAN_S, values_at, zero_of
 from daemon.studies.calibrate.request import CubeSetup
 from solar.calibration.in_place import FieldCalibration, UndeterminedError, calibrate_in_place
 from solar.calibration.level import KnownResponse, LevelReference

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from daemon.studies.calibrate.beside import Comparison
+from daemon.studies.calibrate.reference_comparison import Comparison
 from daemon.studies.picture_file import save_picture
 from daemon.studies.stamp import stamp_simulated
 

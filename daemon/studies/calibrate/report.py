@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.cube.calibration import CubeCalibration, new_calibration
-from daemon.studies.calibrate.beside import Comparison
 from daemon.studies.calibrate.in_field import FieldResult
 from daemon.studies.calibrate.readings import span_text
+from daemon.studies.calibrate.reference_comparison import Comparison
 from daemon.studies.calibrate.request import CubeSetup
 from solar.frames import azimuth_from_direction
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from random import Random
 from typing import Literal
 
-from daemon.studies.campaign.habits import draw_settings
+from daemon.studies.campaign.drawn_settings import draw_settings
 from daemon.studies.campaign.schedule import MOST_TRACKERS, Schedule, ScheduledEvent
 
 Span = tuple[float, float | None, float | None]

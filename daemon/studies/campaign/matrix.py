@@ -209,7 +209,7 @@ def chosen_schedules(
             laws = ", ".join(plugins.names(plugins.LAWS))
             raise UserError(f"--schedule: {file} has a law '{schedule.law}'; choose from {laws}")
         from daemon.config.file import ConfigError  # noqa: PLC0415 - as for all that follow: the whole service
-        from daemon.studies.campaign.door import DirectCommandChannel  # noqa: PLC0415
+        from daemon.studies.campaign.command_channel import DirectCommandChannel  # noqa: PLC0415
         from daemon.studies.campaign.person import known_commands  # noqa: PLC0415
 
         try:

@@ -6,9 +6,9 @@ import math
 from daemon.base.records import Mode
 from daemon.rigs.campaign.plant import PlantTracker
 from daemon.service.operator import CommandError
-from daemon.studies.campaign.door import CommandChannel
+from daemon.studies.campaign.command_channel import CommandChannel
 from daemon.studies.campaign.draw import COMMANDS
-from daemon.studies.campaign.watch.asked_for import is_at_position, park_positions
+from daemon.studies.campaign.watch.target_check import is_at_position, park_positions
 from daemon.studies.campaign.watch.truth import TruthWatch
 
 STANDS_DEG = 0.003

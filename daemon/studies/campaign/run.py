@@ -17,8 +17,8 @@ from daemon.base.timeloop import VirtualTimeLoop, virtual_time
 from daemon.rigs.campaign.build import build_plant
 from daemon.rigs.campaign.faults import FACE_FAULTS, FAULTS, PROCESS_FAULTS, PlantFault, Value
 from daemon.service.operator_commands import COMMANDS_FOR_ALL
-from daemon.studies.campaign.bounded import WARM_AFTER_S, GrowthCheck, LogLine
-from daemon.studies.campaign.door import CommandChannel, DirectCommandChannel, SharedCommandChannel
+from daemon.studies.campaign.command_channel import CommandChannel, DirectCommandChannel, SharedCommandChannel
+from daemon.studies.campaign.growth import WARM_AFTER_S, GrowthCheck, LogLine
 from daemon.studies.campaign.matrix import refuse_unknown, settings_of
 from daemon.studies.campaign.person import WORKING_MODES, Person, known_commands
 from daemon.studies.campaign.schedule import Schedule, ScheduledEvent

@@ -13,7 +13,7 @@ from daemon.base.errors import UserError
 from daemon.base.files import atomic_text_file, replace_file
 from daemon.base.words import pluralise
 from daemon.config.file import override
-from daemon.config.plugged import FALLBACK_LAW
+from daemon.config.plugin_sections import FALLBACK_LAW
 from daemon.config.settings import Settings
 from daemon.config.simulation import WeatherName
 from daemon.rigs.simulated import build_simulated_pair, build_weather_in_parts

@@ -15,7 +15,7 @@ from daemon.base.records import Bus, Record
 from daemon.base.timeloop import virtual_time
 from daemon.config.file import override, with_loopback_bridge
 from daemon.config.links import StoreSettings
-from daemon.config.plugged import DEFAULT_LAW, FALLBACK_LAW, LAW
+from daemon.config.plugin_sections import DEFAULT_LAW, FALLBACK_LAW, LAW
 from daemon.config.settings import Settings
 from daemon.motion.polling import SIMULATED
 from daemon.rigs.simulated import SimulatedPair

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from daemon.base.errors import UserError, error_location
 from daemon.base.files import atomic_text_file
 from daemon.base.words import pluralise
-from daemon.config.plugged import FALLBACK_LAW
+from daemon.config.plugin_sections import FALLBACK_LAW
 from daemon.rigs.measured import merge_to_minutes, read_weather
 from daemon.studies.energy.names import BOUND, FIXED, parse_law
 from daemon.studies.text_table import WIDTH, signed, table

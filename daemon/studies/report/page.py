@@ -13,12 +13,12 @@ from daemon.base.records import FACES, Quality
 from daemon.store.settings_kept import SUBJECT
 from daemon.studies.report import pictures
 from daemon.studies.report.availability import Availability, availability_of
+from daemon.studies.report.events import AlarmSpan, Note, alarms_of, notes_of
+from daemon.studies.report.formatting import NO_VALUE, format_duration, format_number, format_times, summary
 from daemon.studies.report.html import Node, Part, element, page, picture, table
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import TOLERANCE_DEG, RecordedMotion, motion_of
 from daemon.studies.report.pictures import PictureData
-from daemon.studies.report.told import AlarmSpan, Note, alarms_of, notes_of
-from daemon.studies.report.words import NO_VALUE, format_duration, format_number, format_times, summary
 from daemon.studies.report.yields import RecordedLight, Yield, days_of, light_of, module_kwh, yield_of
 from daemon.studies.stamp import STAMP_COLOUR
 from solar.ephemeris import DAY_S

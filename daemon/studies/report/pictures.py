@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from daemon.base.clock import local_time
 from daemon.base.records import FACES
-from daemon.studies.report.asked import NAMES
 from daemon.studies.report.availability import longest_interval_s
+from daemon.studies.report.choices import NAMES
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import NOT_RECORDED, SILENT_S, RecordedMotion, set_points_of
 from daemon.studies.report.yields import RecordedLight, Yield, latest_values

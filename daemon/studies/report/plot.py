@@ -14,7 +14,7 @@ from daemon.config.settings import Settings
 from daemon.store.runs import no_records_text
 from daemon.studies.inputs import parse_site
 from daemon.studies.picture_file import save_picture
-from daemon.studies.report.asked import format_of_tables
+from daemon.studies.report.choices import format_of_tables
 from daemon.studies.report.material import Material, read_tables, span_of_tables, split_by_tracker
 from daemon.studies.report.motion import motion_of
 from daemon.studies.report.pictures import PICTURES, PictureData

@@ -11,7 +11,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MultipleLocator
 
-from daemon.config.plugged import FALLBACK_LAW
+from daemon.config.plugin_sections import FALLBACK_LAW
 from daemon.studies.energy.names import BOUND, FIXED
 from daemon.studies.picture_file import save_picture
 from daemon.studies.sites.output import is_simulated

@@ -14,8 +14,8 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from daemon.base.errors import UserError
-from daemon.studies.spread.alone import ProcessDiedError, run_in_new_process
 from daemon.studies.spread.errors import WorkersError
+from daemon.studies.spread.new_process import ProcessDiedError, run_in_new_process
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")

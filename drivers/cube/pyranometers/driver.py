@@ -9,7 +9,7 @@ from drivers.cube.pyranometers.settings import FACE_NAMES, PyranometersSettings
 from drivers.errors import ConnectError, DeviceError, DriverHungError, LinkLostError
 from drivers.interfaces import CubeReading, FaceSample
 from drivers.modbus.client import ModbusBus
-from drivers.modbus.paths import ModbusTransport, build_transport
+from drivers.modbus.transports import ModbusTransport, build_transport
 from drivers.settings import CubeSurroundings, SettingsError
 
 DEVICE = "cube"

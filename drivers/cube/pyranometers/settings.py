@@ -6,8 +6,8 @@ from typing import Any, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from drivers.lines.serial_port import SerialForm
-from drivers.modbus.paths import ModbusLine
 from drivers.modbus.pdu import NumberType, WordOrder
+from drivers.modbus.transports import ModbusLine
 from drivers.settings import CubeDriverSettings, DriverSettings, Positive, SettingsConflict, with_defaults
 
 FACE_NAMES = ("east", "south", "west", "zenith")

@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from daemon.archive.address import parse_archive
-from daemon.archive.aside import retry, write_accepted_records
+from daemon.archive.refused_records import retry, write_accepted_records
 from daemon.archive.writer import ArchiveWriter, SentPage
 from tests.daemon.archive.test_ingest import all_kept, running
 from tests.support.archive import Sender, archived_records, batch_of, event, origin, pose, pose_row

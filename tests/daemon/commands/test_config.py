@@ -258,7 +258,7 @@ def test_check_finds_the_store_of_a_units_file_without_a_folder_where_the_unit_k
 ):
     """The service's user may not write beside the file; the unit does not either, and keeps the store elsewhere."""
     path, kept = tmp_path / "etc" / "east.toml", tmp_path / "lib" / "east"
-    monkeypatch.setattr("daemon.store.place.SYSTEMD_STATE_FOLDER", kept.parent)
+    monkeypatch.setattr("daemon.store.records_folder.SYSTEMD_STATE_FOLDER", kept.parent)
     kept.mkdir(parents=True)
     path.parent.mkdir()
     path.write_text(

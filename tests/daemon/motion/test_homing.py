@@ -5,8 +5,8 @@ import asyncio
 import pytest
 
 from daemon.base.records import Mode, Target
+from daemon.motion.doubts import RESET
 from daemon.motion.polling import Polling
-from daemon.motion.reference import RESET
 from drivers.errors import RefusedError
 from tests.support.motion import (
     HOME_A_PACKET,

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.records import Mode, Target
-from daemon.motion.reference import RESET
+from daemon.motion.doubts import RESET
 from drivers.errors import RefusedError
 from tests.support.motion import CLEAR_PACKET, alarms, commands_sent, send_foreign_b_target
 from tests.support.phases import now, positioner_events, wait_for_long_rest, wait_for_tracking

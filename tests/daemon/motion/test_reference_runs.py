@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import Pose, Target
 from daemon.base.state import StateFolder
-from daemon.motion.reference import NOT_FINISHED, Doubts
+from daemon.motion.doubts import NOT_FINISHED, Doubts
 from drivers.errors import LinkLostError, RefusedError
 from tests.support.hand_positioner import run_motion
 

@@ -11,8 +11,8 @@ from daemon.base.records import Mode
 from daemon.config.links import MqttSettings
 from daemon.mqtt.commands import Commands
 from daemon.mqtt.connection import Incoming
-from daemon.mqtt.dates import ReplayGuard
 from daemon.mqtt.outbox import Lane, Message, Outbox
+from daemon.mqtt.replay_guard import ReplayGuard
 from daemon.service.operator import CommandError
 from daemon.service.operator_commands import Operators, parse
 from tests.support.mqtt import SPEED, BrokerRig, needs_mosquitto, observer, run_services, settings_for, until

@@ -18,8 +18,8 @@ from daemon.base.state import StateFolder
 from daemon.base.timeloop import virtual_time
 from daemon.config.links import NotifySettings
 from daemon.notify.courier import Courier
+from daemon.notify.notification_state import NotificationStateFile
 from daemon.notify.recipients import recipients_of
-from daemon.notify.told import NotificationStateFile
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from daemon.config.settings import Settings
 from daemon.config.simulation import SimulationSettings
 from daemon.rigs.simulated import build_simulated_positioner
 from daemon.rigs.simulated_positioner import build_unit
-from daemon.studies.campaign.watch.true_count import WRONG_COUNT_DEG
+from daemon.studies.campaign.watch.count_check import WRONG_COUNT_DEG
 from tests.support.phases import wait_for_rest, wait_for_tracking
 
 GEOMETRIES = {

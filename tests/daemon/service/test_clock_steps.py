@@ -8,10 +8,10 @@ import pytest
 
 from daemon.base.records import CurveQuality, Decision, Event, IvCurve, Move
 from daemon.base.state import StateFolder
-from daemon.service.inheritance import LastStart, last_start_file
 from daemon.service.recent import RecentRecords
 from daemon.service.rig import Role
 from daemon.service.state import state_json
+from daemon.service.state_migration import LastStart, last_start_file
 from daemon.service.status import InputStatus, LinkStatus
 from tests.support.phases import wait_for_rest, wait_for_tracking
 from tests.support.rig import ManualWeather, ServiceRig

@@ -8,9 +8,9 @@ from contextlib import closing
 import pytest
 
 from daemon.store.schema import FILE_NAME, open_for_writing
-from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
+from tests.daemon.store.test_unusable_store import until
 from tests.support import PATIENCE_S, forks
 
 pytestmark = pytest.mark.slow

@@ -12,8 +12,8 @@ from solar.frames import Angles, Limits, angles_within, azimuth_from_direction
 from solar.laws import optimal_live
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.optimal import OptimalLaw, OptimalSettings
+from solar.laws.reasons import move_reason
 from solar.laws.site import LearnedSite
-from solar.laws.words import move_reason
 from solar.skies.sky import sky
 
 SITE = Site(48.7176, 2.2090, 156.0)

@@ -7,7 +7,7 @@ from itertools import islice
 
 from daemon.base.records import Event, Mode, ModeChange, Record
 from daemon.rigs.campaign.plant import PlantTracker
-from daemon.studies.campaign.watch.true_count import COUNT_TOLERANCE_DEG
+from daemon.studies.campaign.watch.count_check import COUNT_TOLERANCE_DEG
 
 WORTH_REPORTING_DEG, WORTH_BY_POSITION_DEG = 0.5, 1.2
 """The second is for a unit that reports positions alone: motion shows half a second and a quarter degree later."""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from daemon.base.records import Mode, MoveOutcome
 from daemon.rigs.campaign.plant import PlantTracker
-from daemon.studies.campaign.watch.asked_for import is_at_position, park_positions
+from daemon.studies.campaign.watch.target_check import is_at_position, park_positions
 from solar.frames import Angles
 
 STORM_RESPONSE_S = 11.0

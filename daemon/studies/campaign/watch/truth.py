@@ -12,15 +12,15 @@ from collections.abc import Iterator
 from daemon.base.records import Scan
 from daemon.base.timeloop import call_until, wait_at_most
 from daemon.rigs.campaign.plant import PlantTracker
-from daemon.studies.campaign.watch import steady
-from daemon.studies.campaign.watch.asked_for import check_target
-from daemon.studies.campaign.watch.believed import check_scan
-from daemon.studies.campaign.watch.decided import DecisionCheck
-from daemon.studies.campaign.watch.explained import AT_TARGET_DEG, RUN_OUT_S, ActiveOrders, AxisCount
+from daemon.studies.campaign.watch import change_detector
+from daemon.studies.campaign.watch.active_orders import AT_TARGET_DEG, RUN_OUT_S, ActiveOrders, AxisCount
+from daemon.studies.campaign.watch.count_check import COUNT_CHECK_EVERY_S, CountCheck
+from daemon.studies.campaign.watch.decision_check import DecisionCheck
 from daemon.studies.campaign.watch.reach import Reach
 from daemon.studies.campaign.watch.reporting import Reporting, Violation
+from daemon.studies.campaign.watch.scan_check import check_scan
 from daemon.studies.campaign.watch.storms import STORM_RESPONSE_S, Storms
-from daemon.studies.campaign.watch.true_count import COUNT_CHECK_EVERY_S, CountCheck
+from daemon.studies.campaign.watch.target_check import check_target
 from drivers.interfaces import AxisName
 from solar.frames import Angles
 
@@ -65,7 +65,7 @@ class TruthWatch:
         self.decision_check = DecisionCheck(self.add_violation)
         self.reach = Reach()
         self.count_check = CountCheck(self.add_violation)
-        self._steady = steady.ChangeDetector()
+        self._steady = change_detector.ChangeDetector()
         self.moving: dict[AxisName, bool] = {"a": False, "b": False}
         self.blind: set[AxisName] = set()
         self.active_faults = 0
@@ -244,13 +244,13 @@ class TruthWatch:
             self._look_closely(at, at, 0.0, now_s)
             return
         least_deg = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
-        turns = steady.turning(before, at, least_deg)
+        turns = change_detector.turning(before, at, least_deg)
         if not self._steady.is_unchanged(self.mount, turns, now_s):
             self._steady.forget()
             until_s = self._look_closely(before, at, least_deg, now_s)
             if until_s > now_s:
                 self._steady.note(self.mount, now_s, turns, until_s)
-        elif turns != steady.STANDS:
+        elif turns != change_detector.STANDS:
             self._note_motion(now_s)
 
     def _look_closely(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
@@ -310,8 +310,8 @@ class TruthWatch:
         self._unexplained_s[axis] = None
         self.reporting.note_standstill()
         if why == "order":
-            limit_s = self._check_limits(axis, at_deg, turned_deg) / steady.FASTEST_DEG_PER_S
-            until_s = now_s + min((left_deg - AT_TARGET_DEG) / steady.FASTEST_COUNTED_DEG_PER_S, limit_s)
+            limit_s = self._check_limits(axis, at_deg, turned_deg) / change_detector.FASTEST_DEG_PER_S
+            until_s = now_s + min((left_deg - AT_TARGET_DEG) / change_detector.FASTEST_COUNTED_DEG_PER_S, limit_s)
             return until_s if motion.target is not None else min(until_s, heads_until_s)
         return math.inf if why == "home" else -math.inf
 

@@ -6,9 +6,9 @@ import signal
 import pytest
 
 from daemon.archive.address import connect_to_archive, parse_archive
-from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_store import keep
 from tests.daemon.store.test_tables import scan
+from tests.daemon.store.test_unusable_store import until
 from tests.support import PATIENCE_S, forks
 
 __all__ = ["keep"]

@@ -15,7 +15,7 @@ from daemon.bridge.signing import generate_key, load_key, write_key
 from daemon.commands.main import app
 from daemon.commands.setup.command import INTERRUPTED_EXIT_CODE
 from daemon.commands.setup.finish import start_lines
-from daemon.commands.setup.kept import load_answers
+from daemon.commands.setup.saved_answers import load_answers
 from daemon.config.file import load_settings
 from tests.daemon.store.test_full_disk import fill, small_disk
 from tests.support import ROOT

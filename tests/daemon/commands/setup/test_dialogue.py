@@ -11,7 +11,7 @@ from daemon.base.errors import UserError
 from daemon.base.records import FACES
 from daemon.bridge.signing import generate_key, write_key
 from daemon.commands.setup.dialogue import SetupDialogue
-from daemon.commands.setup.kept import SetupAnswers, answers_path, keep_answers, load_answers
+from daemon.commands.setup.saved_answers import SetupAnswers, answers_path, keep_answers, load_answers
 from daemon.commands.setup.steps import MOVE, SKIPPED
 from daemon.config import keys
 from tests.support import ROOT

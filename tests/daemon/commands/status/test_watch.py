@@ -10,8 +10,8 @@ from rich.live import Live
 
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
-from daemon.commands.status.log_above import ScreenLogStream
 from daemon.commands.status.screen import render
+from daemon.commands.status.screen_log import ScreenLogStream
 from daemon.commands.status.watch import watch
 from daemon.service.recent import News, RecentRecords
 from daemon.service.state import state_json

@@ -15,13 +15,13 @@ from daemon.base.clock import SystemClock
 from daemon.base.installation import release
 from daemon.config.migrate import backup_path
 from daemon.store.copies import copies_of, copy_path
-from daemon.store.place import lock_folder
+from daemon.store.records_folder import lock_folder
 from daemon.store.schema import FILE_NAME, VERSION
 from daemon.store.store import Store
-from tests.daemon.store.test_aside import until
 from tests.daemon.store.test_copies import OLDER, made_older, opened
 from tests.daemon.store.test_store import ORIGIN, count
 from tests.daemon.store.test_tables import ALL, scan
+from tests.daemon.store.test_unusable_store import until
 from tests.support.disk import synced_files
 
 __all__ = ["synced_files"]

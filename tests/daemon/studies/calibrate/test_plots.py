@@ -4,9 +4,9 @@ import numpy as np
 
 from daemon.base.records import FACES
 from daemon.config.sections import CubeSettings
-from daemon.studies.calibrate.beside import compare
 from daemon.studies.calibrate.plots import comparison_figure
 from daemon.studies.calibrate.readings import FaceReadings, ReferenceReadings
+from daemon.studies.calibrate.reference_comparison import compare
 from solar.calibration.selection import clear_sky_ghi
 from solar.ephemeris import DAY_S, Site
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from daemon.service.operator import CommandError
-from daemon.studies.campaign.door import CommandReply, DirectCommandChannel
+from daemon.studies.campaign.command_channel import CommandReply, DirectCommandChannel
 from daemon.studies.campaign.draw import draw_schedule
 from daemon.studies.campaign.run import run_schedule
 from daemon.studies.campaign.schedule import ScheduledEvent

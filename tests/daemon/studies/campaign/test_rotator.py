@@ -7,7 +7,7 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
 from daemon.rigs.campaign.faults import ROTATOR_PLANT_FAULTS
-from daemon.studies.campaign.door import CommandReply, DirectCommandChannel
+from daemon.studies.campaign.command_channel import CommandReply, DirectCommandChannel
 from daemon.studies.campaign.draw import draw_schedule
 from daemon.studies.campaign.matrix import chosen_schedules
 from daemon.studies.campaign.run import run_schedule

@@ -10,11 +10,11 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.timeloop import virtual_time
 from daemon.rigs.campaign.faults import FAULTS
-from daemon.studies.campaign.attack import Campaign
-from daemon.studies.campaign.bounded import GrowthCheck
-from daemon.studies.campaign.door import DirectCommandChannel
+from daemon.studies.campaign.campaign import Campaign
+from daemon.studies.campaign.command_channel import DirectCommandChannel
 from daemon.studies.campaign.draw import COMMANDS, FAULT_SPANS, ROTATOR_FAULT_SPANS, draw_schedule
-from daemon.studies.campaign.habits import AXIS_VARIANTS, CHOICES
+from daemon.studies.campaign.drawn_settings import AXIS_VARIANTS, CHOICES
+from daemon.studies.campaign.growth import GrowthCheck
 from daemon.studies.campaign.many import run_many
 from daemon.studies.campaign.matrix import chosen_schedules, settings_of
 from daemon.studies.campaign.reduce import reduce_schedule
@@ -184,7 +184,7 @@ def test_a_failure_is_reduced_to_its_necessary_events_in_fewer_runs_than_there_a
 
 def test_each_failure_is_reduced_and_saved_as_a_schedule_that_can_be_run_alone(tmp_path, monkeypatch):
     # With this bound, a service says too much as soon as a person has given a command.
-    monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
+    monkeypatch.setattr("daemon.studies.campaign.growth.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
     given = tuple(ScheduledEvent(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto", "clear")))
     schedule = replace(draw_schedule(7, 0.04), events=given)
@@ -218,7 +218,7 @@ def test_ctrl_c_ends_a_campaign_with_a_report_of_what_was_done(tmp_path):
 
 @pytest.mark.usefixtures("_ctrl_c")
 def test_a_failure_found_before_ctrl_c_is_saved_unreduced(tmp_path, monkeypatch):
-    monkeypatch.setattr("daemon.studies.campaign.bounded.LINES_OF_A_COMMAND", -100)
+    monkeypatch.setattr("daemon.studies.campaign.growth.LINES_OF_A_COMMAND", -100)
     said, keep = [], tmp_path / "failures"
     given = tuple(ScheduledEvent(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto")))
     failing = replace(draw_schedule(7, 0.03), events=given)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.studies.campaign.door import DirectCommandChannel
+from daemon.studies.campaign.command_channel import DirectCommandChannel
 from daemon.studies.campaign.draw import draw_schedule
 from daemon.studies.campaign.matrix import chosen_schedules
 from daemon.studies.campaign.run import run_schedule

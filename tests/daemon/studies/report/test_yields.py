@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from daemon.base.records import FACES
+from daemon.studies.report.formatting import summary
 from daemon.studies.report.material import split_by_tracker
 from daemon.studies.report.page import findings_of
 from daemon.studies.report.span import ReportSpan
-from daemon.studies.report.words import summary
 from daemon.studies.report.yields import module_kwh
 from solar.calibration.selection import clear_sky_ghi
 from solar.energy import arrange_daylight, build_sky, face_irradiances

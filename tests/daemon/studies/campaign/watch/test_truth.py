@@ -4,7 +4,7 @@ import pytest
 
 from daemon.base.records import Event, FaceReading, Mode, ModeChange, Quality, Scan
 from daemon.rigs.campaign.faults import FORGED_W_M2
-from daemon.studies.campaign.watch.explained import AxisCount
+from daemon.studies.campaign.watch.active_orders import AxisCount
 from tests.daemon.studies.campaign.watch.scripted import promises
 
 

@@ -7,10 +7,10 @@ import pandas as pd
 import pytest
 
 from daemon.base.records import Event, Mode, ModeChange, Pose
+from daemon.studies.report.events import AlarmSpan, alarms_of
 from daemon.studies.report.material import read_material, split_by_tracker
 from daemon.studies.report.page import findings_of, page_of
 from daemon.studies.report.span import ReportSpan, RequestedSpan
-from daemon.studies.report.told import AlarmSpan, alarms_of
 from solar.ephemeris import Site
 from tests.support.stored_day import DAY_S, T0, open_store
 

@@ -1,7 +1,7 @@
 """The record of what people were told, on a disk that is often a card that wears."""
 
 from daemon.base.state import StateFolder
-from daemon.notify.told import FILE_NAME, NotificationState, NotificationStateFile
+from daemon.notify.notification_state import FILE_NAME, NotificationState, NotificationStateFile
 
 
 def test_the_record_of_sent_notices_is_written_only_when_it_has_changed(tmp_path):

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from daemon.config.file import override
-from daemon.config.plugged import dump_explicit_values
+from daemon.config.plugin_sections import dump_explicit_values
 from daemon.config.settings import Settings
 
 

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from daemon.base.records import Target
-from daemon.motion.end import stop_and_confirm
+from daemon.motion.shutdown import stop_and_confirm
 from tests.support.hand_positioner import FakePositioner, run_motion
 
 SENT = "stop was sent, and no telemetry has shown the axes standing since"

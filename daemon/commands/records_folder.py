@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daemon.store.place import default_records_folder, records_folder_to_read
+from daemon.store.records_folder import default_records_folder, records_folder_to_read
 
 if TYPE_CHECKING:
     # The command line imports this module to show its help, which must not wait for scientific libraries.

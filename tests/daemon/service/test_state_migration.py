@@ -11,9 +11,9 @@ import pytest
 from daemon.base.errors import UserError
 from daemon.base.records import Mode
 from daemon.base.state import StateFolder
-from daemon.service.inheritance import migrate_state_to_trackers
 from daemon.service.operator import Operator
-from daemon.store.place import lock_folder
+from daemon.service.state_migration import migrate_state_to_trackers
+from daemon.store.records_folder import lock_folder
 from daemon.tracker.wishes import WishFile
 from tests.daemon.tracker.days import FEWER_SCANS
 from tests.support.motion import send_foreign_b_target

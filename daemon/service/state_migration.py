@@ -18,9 +18,9 @@ from daemon.base.clock import LEAST_SHOWN_UTC_S, MOST_SHOWN_UTC_S
 from daemon.base.errors import UserError
 from daemon.base.files import replace_file
 from daemon.base.state import StateFile, StateFolder, UnreadableStateError
-from daemon.motion import place, reference
+from daemon.motion import doubts, place
 from daemon.received import today
-from daemon.store.place import is_folder_locked
+from daemon.store.records_folder import is_folder_locked
 from daemon.tracker import budget, law_file, stow_watch, wishes
 from daemon.tracker.stow_watch import SafetyFile
 from daemon.tracker.wishes import PROGRAM, Wish, Wishes, WishFile
@@ -43,8 +43,8 @@ class LastStart(BaseModel):
 
 # The trackers of one service write their files of the start one after the other, within this time.
 _STARTED_TOGETHER_S = 30.0
-_FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference, budget, law_file, kept, today))
-_FILES_IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, reference))
+_FILES = tuple(module.FILE_NAME for module in (wishes, stow_watch, doubts, budget, law_file, kept, today))
+_FILES_IN_FORCE: tuple[str, ...] = tuple(module.FILE_NAME for module in (wishes, stow_watch, doubts))
 _LOOK = "look at the tracker, then 'heliocube auto'"
 _REMEDY = f"give that name back in a table [[tracker]] and restart, or {_LOOK}"
 
@@ -159,8 +159,8 @@ def _texts_in_force(folder: Path, called: str, names: Sequence[str] = _FILES_IN_
         # The kept reason may itself name such folders, and would be told again with each name.
         asked = asked.model_copy(update={"hold": Wish(why="nobody has looked yet", by=PROGRAM)})
     storm = SafetyFile(state).load() if stow_watch.FILE_NAME in names else None
-    doubts = reference.kept_doubts(state) if reference.FILE_NAME in names else ()
+    doubted = doubts.kept_doubts(state) if doubts.FILE_NAME in names else ()
     return [
         *(f"in {folder} {called} is still {text}" for text in asked.describe_ended(Wishes())),
-        *(f"{folder} keeps for {called}: {text}" for text in (*((storm.text,) if storm else ()), *doubts)),
+        *(f"{folder} keeps for {called}: {text}" for text in (*((storm.text,) if storm else ()), *doubted)),
     ]

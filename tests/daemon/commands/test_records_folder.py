@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from daemon.commands.kept import find_records_folder, with_default_store_folder
+from daemon.commands.records_folder import find_records_folder, with_default_store_folder
 from daemon.config.settings import Settings
-from daemon.store.place import lock_folder
+from daemon.store.records_folder import lock_folder
 from tests.support import forks
 
 FILE = Path("rig/heliocube.toml")

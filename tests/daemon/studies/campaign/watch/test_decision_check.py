@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.records import Mode
 from daemon.config.settings import Settings
-from daemon.studies.campaign.watch.decided import DecisionCheck
+from daemon.studies.campaign.watch.decision_check import DecisionCheck
 from daemon.tracker.wishes import Wish, Wishes
 from solar.frames import Angles
 

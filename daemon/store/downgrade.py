@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from daemon.store.aside import sidecar_files
 from daemon.store.schema import StoreError, check_is_store, columns_of, open_for_reading
 from daemon.store.tables import COLUMNS
+from daemon.store.unusable_store import sidecar_files
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.alarms.alarms import Alarms
 from daemon.base.records import FaceReading, Quality, Scan
-from daemon.cube.told_faces import RemoteFaceAlarm, UnreadFaceAlarm
+from daemon.cube.face_alarms import RemoteFaceAlarm, UnreadFaceAlarm
 
 GOOD = FaceReading(400.0, Quality.OK, 0.0, 0.0)
 LIES = GOOD._replace(quality=Quality.IMPLAUSIBLE)

@@ -7,8 +7,8 @@ from pydantic import TypeAdapter
 
 from drivers.errors import ConnectError, DeadlineError, LinkLostError
 from drivers.modbus.framing import TcpServer
-from drivers.modbus.paths import Endpoint, ModbusLine, SerialTransport, TcpTransport, endpoint
 from drivers.modbus.pdu import read_registers
+from drivers.modbus.transports import Endpoint, ModbusLine, SerialTransport, TcpTransport, endpoint
 from tests.support import PATIENCE_S
 
 READ = read_registers(7, 3, 0, 1)

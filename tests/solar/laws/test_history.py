@@ -9,7 +9,7 @@ import pytest
 
 from solar.ephemeris import DAY_S, Site, solar_days, sun_direction
 from solar.frames import Angles, Limits
-from solar.laws.heard import PartialMean, ReadingHistory
+from solar.laws.history import PartialMean, ReadingHistory
 from solar.laws.law import Moment, Reading, TrackerFacts
 from solar.laws.memory import LightMemory, OptimalSettings
 from solar.laws.optimal_live import SETTINGS, LiveOptimal

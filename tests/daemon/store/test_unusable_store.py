@@ -17,10 +17,10 @@ import pytest
 from daemon.base.clock import SystemClock
 from daemon.base.errors import UserError
 from daemon.base.records import Event
-from daemon.store.aside import aside_text, find_moved_aside, move_aside
 from daemon.store.export import export
 from daemon.store.schema import FILE_NAME, VERSION, open_for_reading
 from daemon.store.store import Store
+from daemon.store.unusable_store import aside_text, find_moved_aside, move_aside
 from tests.daemon.store.test_store import ORIGIN, keep
 from tests.daemon.store.test_tables import T0, scan
 from tests.support import PATIENCE_S, ROOT

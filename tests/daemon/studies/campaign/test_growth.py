@@ -4,8 +4,8 @@ from collections import deque
 
 import pytest
 
-from daemon.studies.campaign.bounded import GrowthCheck
 from daemon.studies.campaign.draw import draw_schedule
+from daemon.studies.campaign.growth import GrowthCheck
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ from datetime import tzinfo
 
 from daemon.base.words import pluralise
 from daemon.studies.report.availability import Availability
+from daemon.studies.report.events import AlarmSpan
 from daemon.studies.report.material import Material
 from daemon.studies.report.motion import RecordedMotion
 from daemon.studies.report.span import utc_and_local_time
-from daemon.studies.report.told import AlarmSpan
 from daemon.studies.report.yields import RecordedLight, Yield, daylight_s
 from solar.ephemeris import DAY_S
 from solar.skies.sky_periods import LOWEST_SUN_DEG

@@ -8,7 +8,7 @@ from daemon.base.process import SystemdNotifier
 from daemon.base.records import Bus
 from daemon.base.state import StateFolder
 from daemon.config.settings import Settings
-from daemon.motion.reference import NOT_FINISHED, RESET, Doubts, fault_text, kept_doubts
+from daemon.motion.doubts import NOT_FINISHED, RESET, Doubts, fault_text, kept_doubts
 from daemon.rigs.real import build_positioner
 from daemon.service.rig import Rig, Role, TrackerInstruments
 from daemon.service.service import Service

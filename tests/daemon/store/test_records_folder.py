@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from daemon.base.errors import UserError
-from daemon.store.place import default_records_folder, lock_folder
+from daemon.store.records_folder import default_records_folder, lock_folder
 
 
 @pytest.mark.parametrize(
