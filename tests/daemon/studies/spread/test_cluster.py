@@ -84,7 +84,14 @@ def test_a_cluster_writes_the_same_bytes_although_a_worker_is_killed(cluster, ta
         assert study.wait(PATIENCE_S) == 0, (tmp_path / "told").read_text()
     here = forks.run(*energy(table, tmp_path / "here"))
     said = (tmp_path / "said").read_text().replace(str(tmp_path / "far"), str(tmp_path / "here"))
-    assert (here.stdout, here.stderr) == (said, (tmp_path / "told").read_text())
+    assert here.stdout == said
+    # A study that takes longer than a minute says how far it is.
+    warnings = [
+        [line for line in text.splitlines() if not line.startswith("comparing: ")]
+        for text in (here.stderr, (tmp_path / "told").read_text())
+    ]
+    assert warnings[0] == warnings[1]
+    assert len(warnings[0]) == SITES
     for ending in ("txt", "csv", "png"):
         name = f"energy-sites.{ending}"
         assert (tmp_path / "far" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
