@@ -63,7 +63,7 @@ class SleepWatch:
         self._looked_s = clock.monotonic()
         self._sleeps: deque[Sleep] = deque(maxlen=_MOST)
 
-    def look(self) -> tuple[Sleep, ...]:
+    def sleeps_until_now(self) -> tuple[Sleep, ...]:
         """Return all sleeps until now; to be called often, for a sleep is dated to the look before it."""
         slept_s = self._gauge.take_s()
         if slept_s > _LEAST_S:

@@ -157,7 +157,7 @@ class UdpPort:
         self._is_reading, self._last_well_s = True, self._clock.monotonic()
         bound = self._bound
         if bound is None or self._may_lose_network:
-            self._look()
+            self._try_to_listen()
         if bound is not None:
             if waited:
                 self._read_what_waited(bound)
@@ -213,7 +213,7 @@ class UdpPort:
         """Whether it listens on a network that can vanish."""
         return self._group is not None or not (self._listen.ip.is_loopback or self._listen.ip.is_unspecified)
 
-    def _look(self) -> None:
+    def _try_to_listen(self) -> None:
         """Take the port and the group if their network is there, else report why not; look again in a few seconds."""
         now_s = self._clock.monotonic()
         try:
@@ -228,7 +228,7 @@ class UdpPort:
             self._outage.up(now_s)
             if now_s - self._last_deaf_s >= _OVER_AFTER_S:
                 self._alarm("bridge-down", None)
-        self._look_timer = asyncio.get_running_loop().call_later(_LOOK_AGAIN_S, self._look)
+        self._look_timer = asyncio.get_running_loop().call_later(_LOOK_AGAIN_S, self._try_to_listen)
 
     def _bind_and_join(self) -> None:
         """Bind and join as far as that is not done; raises `BridgeError` where nothing can be heard."""

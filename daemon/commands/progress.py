@@ -48,19 +48,19 @@ def _lines(task: Task, every_s: float) -> Iterator[None]:
     """Say on standard error at intervals how far a task is, also in the middle of a step."""
     over = threading.Event()
 
-    def tell() -> None:
+    def print_progress() -> None:
         while not over.wait(every_s):
             # The work goes on even if nobody reads any more.
             with contextlib.suppress(OSError):
                 say(_line(task), err=True)
 
-    teller = threading.Thread(target=tell, name="progress", daemon=True)
-    teller.start()
+    printer = threading.Thread(target=print_progress, name="progress", daemon=True)
+    printer.start()
     try:
         yield
     finally:
         over.set()
-        teller.join()
+        printer.join()
 
 
 def _line(task: Task) -> str:

@@ -47,7 +47,7 @@ from daemon.store.records_folder import lock_folder
 from daemon.store.release_kept import CUBE_FILE_NAME, FILE_NAME, ReleaseWatch
 from daemon.store.settings_kept import CUBE_FILE_NAME as CUBE_SETTINGS_NAME
 from daemon.store.settings_kept import FILE_NAME as SETTINGS_NAME
-from daemon.store.settings_kept import tell_changes
+from daemon.store.settings_kept import publish_changes
 from daemon.store.store import Origin, Store, new_run_id
 from daemon.sunspec.server import SunSpecServer
 
@@ -263,7 +263,7 @@ def _store(service: Service, role: Role, loop: asyncio.AbstractEventLoop, consol
     service.bus.subscribe(store.keep)
     name = CUBE_SETTINGS_NAME if role is Role.CUBE else SETTINGS_NAME
     said = service.settings.model_dump(mode="json")
-    tell_changes(said, settings.directory, service.clock, service.bus.publish, name)
+    publish_changes(said, settings.directory, service.clock, service.bus.publish, name)
     try:
         yield store
     finally:
@@ -291,12 +291,12 @@ def _api(
         # No token in a journal: more people read it than a terminal.
         where = "commands need api.token_file" if journal else f"commands need HELIOCUBE_TOKEN={token}"
 
-    def tell(url: str) -> None:
+    def print_address(url: str) -> None:
         _print(console, f"local interface at {url}; {where}")
 
     operators = Operators(service.trackers, speed, service.cube_alarms)
     api = Api(see, recent, operators, token, service.clock, speed, settings.hosts, glance, own)
-    return ApiServer(settings, api, service.clock, service.cube_alarms.set, tell, speed)
+    return ApiServer(settings, api, service.clock, service.cube_alarms.set, print_address, speed)
 
 
 def _sunspec(service: Service, speed: float, see: Callable[[], Snapshot]) -> SunSpecServer | None:

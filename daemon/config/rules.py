@@ -114,7 +114,7 @@ def the_positioner_reaches_its_limits(settings: Sections) -> Iterator[Conflict]:
         yield Conflict(f"{section}.{key}", reason, where)
 
 
-def the_faces_can_be_told_apart(settings: Sections) -> Iterator[Conflict]:
+def faces_are_distinguishable(settings: Sections) -> Iterator[Conflict]:
     """Sensors of `instruments.cube` differ in line or address, and in serial number; their registers fit together."""
     section = "instruments.cube"
     for key, reason, others in settings.instruments.cube.conflicts():
@@ -333,7 +333,7 @@ _MULTIPLEXER_RULES = (
 RULES = (
     *_MULTIPLEXER_RULES,
     instruments_have_own_ports,
-    the_faces_can_be_told_apart,
+    faces_are_distinguishable,
     averaging_window_is_in_range,
     simulation_start_is_in_range,
     the_law_in_the_shadow_is_another,

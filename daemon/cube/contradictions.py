@@ -36,7 +36,7 @@ class Contradictions:
         self.wrongly_frozen_face: int | None = None
         self._found_doubts = [Doubt.NONE] * len(FACES)
 
-    def look(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> list[Doubt]:
+    def find_doubts(self, faces_w_m2: Array, sun: Array, whys: Sequence[Doubt]) -> list[Doubt]:
         """Return the doubt that each of the four faces raises by contradicting others.
 
         Parameters

@@ -69,10 +69,10 @@ class _FaceAlarm(ABC):
             faces = [name for name, count in counts if count == _ALARM_SCANS or (count > 0 and name in self._since)]
             if faces or self._since:
                 self._since = update_since(self._since, faces, self._clock)
-        self._tell(scan)
+        self._update_alarm(scan)
 
     @abstractmethod
-    def _tell(self, scan: Scan) -> None:
+    def _update_alarm(self, scan: Scan) -> None:
         """Raise the alarm, or end it, by the faces that are in it after a scan."""
 
 
@@ -81,7 +81,7 @@ class RemoteFaceAlarm(_FaceAlarm):
 
     _qualities = (Quality.IMPLAUSIBLE,)
 
-    def _tell(self, _scan: Scan) -> None:
+    def _update_alarm(self, _scan: Scan) -> None:
         names = tuple(self._since)
         if not names:
             self._alarms.set("cube-face", None)
@@ -143,7 +143,7 @@ class UnreadFaceAlarm(_FaceAlarm):
 
     _qualities = (Quality.OVER_RANGE, Quality.STALE, Quality.MISSING, Quality.LATE)
 
-    def _tell(self, scan: Scan) -> None:
+    def _update_alarm(self, scan: Scan) -> None:
         faces = [name for name in self._since if not mentions_all(self._sensor_alarm_text(), (name,))]
         if not faces or len(self._since) == len(FACES):
             self._alarms.set("face-unread", None)

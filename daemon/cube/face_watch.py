@@ -244,7 +244,7 @@ class FaceWatch:
         """Tell of each face whether it contradicts the others over the last half hour."""
         if not self._is_upright:
             return [Doubt.NONE] * len(FACES)
-        against = self._contradictions.look(faces, self._suns, self._whys)
+        against = self._contradictions.find_doubts(faces, self._suns, self._whys)
         if not any(against):
             return against
         accused = jumping if any(jumping) else [True] * len(FACES)

@@ -80,7 +80,7 @@ class Upstream:
         self._outage = Outage(log, f"the service at {self.name}")
         self.message = ""
         # Neither up nor down: nothing is wrong yet.
-        self._tell(None, "has not answered yet")
+        self._publish_reachability(None, "has not answered yet")
 
     async def run(self) -> None:
         """Follow the service, and try again for ever when it is lost."""
@@ -93,7 +93,7 @@ class Upstream:
             except (httpx.HTTPError, SSEError, ValueError, RecursionError) as error:
                 reason = _reason(error)
             self._outage.down(self._clock.monotonic(), reason)
-            self._tell(False, reason)
+            self._publish_reachability(False, reason)
             await asyncio.sleep(_RETRY_AFTER_S)
 
     async def _states(self) -> AsyncIterator[str]:
@@ -110,7 +110,7 @@ class Upstream:
                     self.is_cube = isinstance(found, dict) and found.get("role") == "cube"
                     yield event.data.replace("\n", " ")
 
-    def _tell(self, up: bool | None, why: str) -> None:
+    def _publish_reachability(self, up: bool | None, why: str) -> None:
         # The next service at this address may have a tracker.
         self.is_cube = False
         found = {"service": self.name, "up": up, "why": why, "time": iso_utc(self._clock.utc())}

@@ -194,7 +194,7 @@ class Motion(MotionState):
     def cancel_waiting_order(self) -> None:
         """Drop an order that has not begun: it comes next, or waits for the pause after a failure."""
         if (order := self._due_order()) is not None:
-            self._tell_obstacle(stow=order[1])
+            self._report_obstacle(stow=order[1])
         self._wanted_order = None
 
     def cancel_move(self) -> None:
@@ -318,9 +318,9 @@ class Motion(MotionState):
             await self._guard.poll(moving=False)
             self._note_link()
             if not await self._do_what_is_asked():
-                await wait_or_poll(self._wake, self._polling.idle_s, self._needs_look)
+                await wait_or_poll(self._wake, self._polling.idle_s, self._has_work)
 
-    def _needs_look(self) -> bool:
+    def _has_work(self) -> bool:
         """Glance at a unit that rests; tell whether it has to be looked at, or a pause is over."""
         waits = self._retries.text is not None or self._guard.doubts.reference is not None
         over = waits and (self._due_order() is not None or self._must_rehome() or self._readiness() != self._was_ready)
@@ -357,7 +357,7 @@ class Motion(MotionState):
         elif (order := self._due_order()) is not None:
             (target, stow), self._wanted_order = order, None
             self._drop_clear("a stow came")
-            if not self._tell_obstacle(stow=stow):
+            if not self._report_obstacle(stow=stow):
                 await self._runs.move(target, stow=stow)
         elif self._must_rehome():
             self._rehoming.began(self._clock.monotonic())
@@ -373,7 +373,7 @@ class Motion(MotionState):
         hindered = self.blocked is not None or (telemetry is not None and telemetry.was_reset)
         return order is not None and order[1] and not hindered
 
-    def _tell_obstacle(self, *, stow: bool) -> bool:
+    def _report_obstacle(self, *, stow: bool) -> bool:
         """Tell what has come up since an order was taken and hinders it; return whether anything has."""
         obstacle = self.blocked or (None if stow else self._guard.doubts.reference)
         if obstacle is not None:

@@ -44,7 +44,7 @@ async def send_test_notice(
     notice = Notice("heliocube: a test", text, "warning")
     taken = []
     for recipient in recipients:
-        taken.append(await recipient.tell(notice))
+        taken.append(await recipient.send(notice))
         report(f"{recipient.name}: {'taken' if taken[-1] else 'not taken; see the lines above'}")
     if settings.heartbeat is not None:
         trouble = await send_heartbeat(settings.heartbeat)
@@ -138,7 +138,7 @@ class Courier:
         self._heartbeat_outage = Outage(log, "the heartbeat")
         self._last_heartbeat_s = -settings.heartbeat_every_s
         self._ways: dict[_Way, Outage] = {self._send_heartbeat: self._heartbeat_outage} | {
-            partial(self._tell, *one): self._outages[one[0].name] for one in self._backlogs
+            partial(self._send_due, *one): self._outages[one[0].name] for one in self._backlogs
         }
         self._running_tasks: dict[_Way, asyncio.Task[None]] = {}
 
@@ -152,7 +152,7 @@ class Courier:
         finally:
             for telling in self._running_tasks.values():
                 telling.cancel()
-            self._save_told()
+            self._save_notification_state()
             self._file.close()
 
     async def step(self) -> Collection[asyncio.Task[None]]:
@@ -161,7 +161,7 @@ class Courier:
         A way that is still busy with an earlier notice gets no other, and delays neither the other ways nor the next
         round.
         """
-        self._save_told()
+        self._save_notification_state()
         found = await asyncio.gather(*(self._ask(service, watch) for service, watch in self._watches.items()))
         for notice in (notice for notices in found for notice in notices):
             log.info("%s", notice.title)
@@ -177,7 +177,7 @@ class Courier:
             self._running_tasks[way] = asyncio.create_task(way())
         return self._running_tasks.values()
 
-    def _save_told(self) -> None:
+    def _save_notification_state(self) -> None:
         """Save which alarms were told, once everybody has been told: otherwise they are told again after a restart."""
         if all(backlog.is_empty for _, backlog in self._backlogs):
             self._file.save(self._told)
@@ -205,13 +205,13 @@ class Courier:
                     raise ValueError("too long for a state")
         return json.loads(content)
 
-    async def _tell(self, recipient: Recipient, backlog: Backlog) -> None:
+    async def _send_due(self, recipient: Recipient, backlog: Backlog) -> None:
         due = backlog.due(self._clock.monotonic(), self._local())
         if due is None:
             return
         notice, stands_for = due
         outage = self._outages[recipient.name]
-        if await recipient.tell(notice):
+        if await recipient.send(notice):
             backlog.remove_sent(stands_for)
             outage.up(self._clock.monotonic())
         else:

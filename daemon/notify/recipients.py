@@ -27,7 +27,7 @@ class Recipient(Protocol):
 
     name: str
 
-    async def tell(self, notice: Notice) -> bool:
+    async def send(self, notice: Notice) -> bool:
         """Send a notice, and return whether the way took it."""
 
 
@@ -58,7 +58,7 @@ class AppriseRecipient:
         self._sending: Future[bool] | None = None
         self.name = str(service.url(privacy=True)).partition("?")[0]
 
-    async def tell(self, notice: Notice) -> bool:
+    async def send(self, notice: Notice) -> bool:
         """Send a notice; return False if the way fails for any reason, or is silent for 120 s.
 
         A way that hangs gets no other notice before it has returned.

@@ -183,11 +183,11 @@ def _bare_rig(scene: Scene, clock: Clock, weather: Weather) -> Rig:
         except WeatherError as error:
             raise UserError(str(error)) from error
 
-    sensor = wind if _tells_wind(weather) else None
+    sensor = wind if _has_wind(weather) else None
     return Rig(None, (), sensor, simulated=True, sky_text=partial(_sky_text, scene, clock))
 
 
-def _tells_wind(weather: Weather) -> bool:
+def _has_wind(weather: Weather) -> bool:
     """Tell whether weather has wind at all: without it the rig has no wind sensor, rather than a silent one."""
     if not isinstance(weather, MeasuredWeather):
         return True

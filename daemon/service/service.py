@@ -120,7 +120,7 @@ class Service:
         if role is not Role.TRACKER:
             self._build_cube()
         self.sleeps = SleepWatch(clock)
-        self.loop_watch = LoopWatch(clock, speed, self.sleeps.look)
+        self.loop_watch = LoopWatch(clock, speed, self.sleeps.sleeps_until_now)
         self._watchdog = Watchdog(clock, notifier, self.trackers, self.acquisition, speed)
 
     def _build_cube(self) -> None:

@@ -276,7 +276,7 @@ def snapshot(
         Whether to leave out what takes longest to find out: hundreds of trackers are looked at in one go.
     """
     settings, acquisition = service.settings, service.acquisition
-    utc_s, sleeps = service.clock.utc(), service.sleeps.look()
+    utc_s, sleeps = service.clock.utc(), service.sleeps.sleeps_until_now()
     now_s = service.clock.monotonic()
     return Snapshot(
         version=_version(),

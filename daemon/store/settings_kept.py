@@ -30,7 +30,7 @@ class SettingsKept(BaseModel):
     values: dict[str, str]
 
 
-def tell_changes(
+def publish_changes(
     settings: Mapping[str, Any],
     directory: Path,
     clock: Clock,

@@ -182,7 +182,7 @@ class SunSpecServer:
         if reply[0] & EXCEPTION_FLAG or override is None:
             if reply[0] & EXCEPTION_FLAG and pdu[0] in WRITE_FUNCTIONS:
                 why = exception_text(reply) if self._own.manual else "sunspec.manual is false"
-                self._tell(f"{host}, register {int.from_bytes(pdu[1:3])}: {why}")
+                self._log_refusal(f"{host}, register {int.from_bytes(pdu[1:3])}: {why}")
             return reply
         if self._table.is_in_force(override):
             self._table.note_carried_out(override)
@@ -219,7 +219,7 @@ class SunSpecServer:
             await self._operators.carry_out(command)
         except CommandError as error:
             self._table.note_refusal(override)
-            self._tell(f"{command.by}: {error}")
+            self._log_refusal(f"{command.by}: {error}")
             return error
         self._table.note_carried_out(override)
         return None
@@ -228,7 +228,7 @@ class SunSpecServer:
         if override.name == "auto" and self._table.is_held(override.tracker):
             raise CommandError("a person has stopped or stowed the tracker in the meantime")
 
-    def _tell(self, sentence: str) -> None:
+    def _log_refusal(self, sentence: str) -> None:
         self._log(self._refusal_budget.spend(self._clock.monotonic(), f"a write over SunSpec is refused: {sentence}"))
 
     def _log(self, line: str) -> None:

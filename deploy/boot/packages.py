@@ -10,7 +10,7 @@ from boot.host import ROOT, CheckFailed, run, wait
 from boot.machine import Machine
 from boot.records import ROLES, Records
 from boot.restarts import Restarts
-from boot.rig import UNITS, Rig
+from boot.rig import UNITS, BootRig
 from boot.tree import CHECKOUT, ENVIRONMENTS, PACKAGES, Tree
 
 _NOTE = "prepared.json"
@@ -94,7 +94,7 @@ class Packages:
         self._before = _files(self._tree.base)
         return f"{self._old} is installed, {self._new} lies beside it"
 
-    def upgrade(self, machine: Machine, rig: Rig, records: Records, restarts: Restarts) -> str:
+    def upgrade(self, machine: Machine, rig: BootRig, records: Records, restarts: Restarts) -> str:
         """Put this commit's package over it at work: nothing moves, both roles come back, and no scan is lost."""
         before = {role: records.scans(role) for role in ROLES}
         pose, began_s = rig.wait_until_at_rest(), time.monotonic()
@@ -105,7 +105,7 @@ class Packages:
         wait(lambda: self._caught_up(records), "the tracker's records after the upgrade")
         return f"{took_s:.0f} s; {held}; {records.check_no_scan_lost(before)}"
 
-    def check_rollback(self, machine: Machine, rig: Rig, restarts: Restarts) -> str:
+    def check_rollback(self, machine: Machine, rig: BootRig, restarts: Restarts) -> str:
         """Go back to the commit before in one command, see that nothing moves, and put this commit's package back."""
         pose = rig.wait_until_at_rest()
         said = machine.run("heliocube", "rollback").strip().splitlines()

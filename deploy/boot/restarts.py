@@ -6,7 +6,7 @@ from functools import partial
 
 from boot.host import PATIENCE_S, CheckFailed, wait
 from boot.machine import Machine
-from boot.rig import CALM_M_S, CUBE, STORM_M_S, TRACKER, UNITS, Rig
+from boot.rig import CALM_M_S, CUBE, STORM_M_S, TRACKER, UNITS, BootRig
 
 STOW_TOLERANCE_DEG = 0.2
 KILLS = 10
@@ -21,7 +21,7 @@ class Restarts:
         Booted and started.
     """
 
-    def __init__(self, machine: Machine, rig: Rig) -> None:
+    def __init__(self, machine: Machine, rig: BootRig) -> None:
         self._machine = machine
         self._rig = rig
         self._old: dict[str, int] = {}

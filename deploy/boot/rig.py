@@ -72,7 +72,7 @@ ExecStart={PROGRAM} bench --dir {BENCH} --weather clear --start {yesterday}T11:5
 """
 
 
-class Rig:
+class BootRig:
     """Bench, broker and both services on a machine.
 
     Parameters

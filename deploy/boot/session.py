@@ -11,12 +11,12 @@ from boot.packages import Packages
 from boot.records import ROLES, Records
 from boot.report import Report
 from boot.restarts import Restarts
-from boot.rig import Rig
+from boot.rig import BootRig
 from boot.sandbox import Sandbox
 from boot.tree import PACKAGES, Tree
 
 
-class Session:
+class BootSession:
     """The points in their order: slow ones wait while others are looked at.
 
     Parameters
@@ -75,7 +75,7 @@ class Session:
         return EmulatedMachine(self._tree.cache, self._tree.base)
 
     def _look(self, machine: Machine) -> None:
-        rig, point = Rig(machine), self._report.run_check
+        rig, point = BootRig(machine), self._report.run_check
         restarts, records = Restarts(machine, rig), Records(machine)
         if not point("the bench", rig.start_bench):
             return

@@ -142,9 +142,9 @@ def _act(dialogue: "SetupDialogue", screen: "SetupScreen", step: "SetupStep") ->
         screen.say(f"    {text}")
 
     look: dict[str, Callable[[], Coroutine[Any, Any, None]]] = {
-        steps.LOOK_CUBE: lambda: instrument_checks.look_at_cube(settings, clock, say),
-        steps.LOOK_POSITIONER: lambda: instrument_checks.look_at_positioner(settings, clock, say),
-        steps.LOOK_LOAD: lambda: instrument_checks.look_at_load(settings, clock, say),
+        steps.LOOK_CUBE: lambda: instrument_checks.check_cube(settings, clock, say),
+        steps.LOOK_POSITIONER: lambda: instrument_checks.check_positioner(settings, clock, say),
+        steps.LOOK_LOAD: lambda: instrument_checks.check_load(settings, clock, say),
     }
     if step.name in look:
         _run(look[step.name]())

@@ -63,7 +63,7 @@ def serial_ports() -> list[str]:
     return sorted(port.device for port in list_ports.comports())
 
 
-async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
+async def check_cube(settings: Settings, clock: Clock, say: Say) -> None:
     """Open the cube and read its faces once; raises `DeviceError` or `UserError`."""
     cube = build_cube(settings, clock)
     try:
@@ -84,7 +84,7 @@ async def look_at_cube(settings: Settings, clock: Clock, say: Say) -> None:
         say(f"  {note}")
 
 
-async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None:
+async def check_positioner(settings: Settings, clock: Clock, say: Say) -> None:
     """Listen to the positioner and report; raises `DeviceError` or `UserError`."""
     if isinstance(settings.instruments.positioner, PozsolSettings):
         await probe_positioner(settings, clock, _LISTEN_S, None, no_tap, say)
@@ -102,7 +102,7 @@ async def look_at_positioner(settings: Settings, clock: Clock, say: Say) -> None
         await positioner.close()
 
 
-async def look_at_load(settings: Settings, clock: Clock, say: Say) -> None:
+async def check_load(settings: Settings, clock: Clock, say: Say) -> None:
     """Ask the electronic load for its identity; raises `DeviceError` or `UserError`."""
     await probe_load(settings, clock.monotonic, no_tap, say, write=False)
 

@@ -141,7 +141,7 @@ def energy(
         check_laws_of_losses(names)
         check_outputs([out / f"energy-losses.{ending}" for ending in _ENDINGS], "--out", force=force)
         laid = _read_weather(weather, place, albedo, speed_deg_per_s)
-        _tell_losses(laid, out, skies, names, seed, as_json=as_json)
+        _print_losses(laid, out, skies, names, seed, as_json=as_json)
         return
     check_outputs([out / f"energy.{ending}" for ending in _ENDINGS], "--out", force=force)
     laid = _read_weather(weather, place, albedo, speed_deg_per_s)
@@ -210,7 +210,7 @@ def _compare(
         _say_written(out, "energy")
 
 
-def _tell_losses(
+def _print_losses(
     laid: "tuple[MinuteWeather, DaylightWeather, Assumptions]",
     out: Path,
     skies: list[str],

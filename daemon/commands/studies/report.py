@@ -90,7 +90,7 @@ def report(
         materials = _materials(directory, called, wanted, tracker, lambda share: progress(0.8 * share))
         known = [with_settings(material, settings) for material in materials]
         paths = write_reports(known, out, local, lambda share: progress(0.8 + 0.2 * share), force=force)
-    _tell(paths, as_json=as_json, simulated=any(each.simulated for each in materials))
+    _print_paths(paths, as_json=as_json, simulated=any(each.simulated for each in materials))
 
 
 @app.command(rich_help_panel=FILES)
@@ -158,12 +158,12 @@ def plot(
     drawn = {name: path for name, path in zip(what, paths, strict=True) if name not in without}
     if drawn:
         draw(with_settings(material, settings), list(drawn), list(drawn.values()), local)
-        _tell(list(drawn.values()), as_json=as_json, simulated=material.simulated)
+        _print_paths(list(drawn.values()), as_json=as_json, simulated=material.simulated)
     if without:
         raise UserError("; ".join(without.values()))
 
 
-def _tell(paths: "Sequence[Path]", *, as_json: bool, simulated: bool) -> None:
+def _print_paths(paths: "Sequence[Path]", *, as_json: bool, simulated: bool) -> None:
     if as_json:
         print_json({"simulated": simulated, "written": paths})
     else:

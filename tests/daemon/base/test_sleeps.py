@@ -25,13 +25,13 @@ class Machine:
 def test_each_sleep_of_the_machine_adds_to_the_age_of_earlier_instants():
     machine = Machine()
     watch = SleepWatch(machine)
-    assert watch.look() == ()
+    assert watch.sleeps_until_now() == ()
     machine.now_s, machine.slept_s = 100.1, 3605.0
-    watch.look()
+    watch.sleeps_until_now()
     machine.now_s = 200.0
-    watch.look()
+    watch.sleeps_until_now()
     machine.now_s, machine.slept_s = 200.1, 3615.0
-    sleeps = watch.look()
+    sleeps = watch.sleeps_until_now()
     assert [slept_since(since_s, sleeps) for since_s in (99.0, 100.1, 200.1)] == [3610.0, 10.0, 0.0]
 
 

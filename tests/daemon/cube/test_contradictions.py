@@ -40,7 +40,7 @@ def half_hour(order=(0, 1, 2, 3), share=(1.0, 1.0, 1.0, 1.0), minutes=MINUTES, b
 
 def after(contradictions, looks, whys=SOUND, **light):
     """Look every minute; return what is found at each."""
-    return [contradictions.look(*half_hour(**light), whys) for _ in range(looks)]
+    return [contradictions.find_doubts(*half_hour(**light), whys) for _ in range(looks)]
 
 
 def test_sound_faces_are_not_accused():
@@ -56,7 +56,7 @@ def test_a_face_that_does_not_change_with_the_light_is_found_where_the_readings_
     faces, sun = half_hour(beam_w_m2=PASSING_W_M2)
     faces[:, 0] = faces[:, 0].mean()
     assert not misfits(faces, sun).is_contradictory
-    assert Contradictions().look(faces, sun, SOUND) == [ODD, NONE, NONE, NONE]
+    assert Contradictions().find_doubts(faces, sun, SOUND) == [ODD, NONE, NONE, NONE]
 
 
 def test_all_faces_are_doubted_when_readings_and_changes_accuse_different_faces():
@@ -66,7 +66,7 @@ def test_all_faces_are_doubted_when_readings_and_changes_accuse_different_faces(
     faces[:, 1] -= 300.0
     assert misfits(faces, sun).suspect_faces == (1,)
     assert change_misfits(faces, sun).suspect_faces == (0,)
-    found = [contradictions.look(faces, sun, SOUND) for _ in range(6)]
+    found = [contradictions.find_doubts(faces, sun, SOUND) for _ in range(6)]
     assert found == [SOUND] * 5 + [[TORN] * 4]
 
 

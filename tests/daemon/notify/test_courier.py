@@ -123,7 +123,7 @@ class Way:
         self.name, self.told, self.free = name, [], asyncio.Event()
         self.free.set()
 
-    async def tell(self, notice):
+    async def send(self, notice):
         await self.free.wait()
         self.told.append(notice.title.rpartition(" ")[2])
         return True
@@ -320,9 +320,9 @@ def test_a_recipient_whose_own_code_raises_is_logged_once_as_down_then_back_and_
     caplog.set_level("INFO")
 
     class Raising(Way):
-        async def tell(self, notice):
+        async def send(self, notice):
             assert self.free.is_set(), "of its own"
-            return await super().tell(notice)
+            return await super().send(notice)
 
     async def scenario():
         way, other, clock = Raising("roof"), Way("other"), HandClock()

@@ -60,7 +60,7 @@ def test_a_server_that_redirects_has_not_taken_the_notice_even_if_the_redirect_t
     people.write_text(f"{kind}://{lab.address}/roof\n")
     people.chmod(0o640)
     (recipient,) = recipients_of(people)
-    assert asyncio.run(recipient.tell(Notice("a title", "a body", "warning"))) is False
+    assert asyncio.run(recipient.send(Notice("a title", "a body", "warning"))) is False
 
 
 def test_the_notification_test_ends_with_4_unless_it_reaches_every_recipient(lab, tmp_path):
@@ -113,9 +113,9 @@ def test_recipients_that_hang_delay_neither_other_recipients_nor_the_end_of_the_
     *stuck, good = named(tmp_path, *(f"hang://{n}" for n in range(10)), f"json://{lab.address}/json")
 
     async def scenario():
-        telling = [asyncio.create_task(each.tell(Notice("a title", "a text", "warning"))) for each in stuck]
+        telling = [asyncio.create_task(each.send(Notice("a title", "a text", "warning"))) for each in stuck]
         await asyncio.sleep(0)
-        assert await good.tell(Notice("a title", "a text", "warning"))
+        assert await good.send(Notice("a title", "a text", "warning"))
         for each in telling:
             each.cancel()
 
@@ -131,12 +131,12 @@ def test_a_recipient_that_hangs_is_logged_and_gets_no_other_notice_before_it_has
     notice = Notice("a title", "a text", "warning")
 
     async def scenario():
-        assert not await stuck.tell(notice)
-        assert not await stuck.tell(notice)
+        assert not await stuck.send(notice)
+        assert not await stuck.send(notice)
         assert hung.calls == 1
         hung.free.set()
         while hung.calls == 1:
-            await stuck.tell(notice)
+            await stuck.send(notice)
             await asyncio.sleep(0.01)
 
     asyncio.run(scenario())

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from daemon.base.clock import SystemClock
-from daemon.store.settings_kept import FILE_NAME, tell_changes
+from daemon.store.settings_kept import FILE_NAME, publish_changes
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def started(tmp_path):
 
     def start(settings):
         told = []
-        tell_changes(settings, tmp_path, SystemClock(), told.append)
+        publish_changes(settings, tmp_path, SystemClock(), told.append)
         assert all(event.subject == "configuration" for event in told)
         return [event.text for event in told]
 

@@ -241,19 +241,19 @@ class TruthWatch:
         if self.mount.motion.target is not None:
             self._last_target_s = now_s
         if before is None or gone_s <= 0:
-            self._look_closely(at, at, 0.0, now_s)
+            self._examine(at, at, 0.0, now_s)
             return
         least_deg = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
         turns = change_detector.turning(before, at, least_deg)
         if not self._steady.is_unchanged(self.mount, turns, now_s):
             self._steady.forget()
-            until_s = self._look_closely(before, at, least_deg, now_s)
+            until_s = self._examine(before, at, least_deg, now_s)
             if until_s > now_s:
                 self._steady.note(self.mount, now_s, turns, until_s)
         elif turns != change_detector.STANDS:
             self._note_motion(now_s)
 
-    def _look_closely(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
+    def _examine(self, before: Angles, at: Angles, least_deg: float, now_s: float) -> float:
         """Return until when [s] another look finds the same if nothing changes; -inf if time alone breaks a promise."""
         self.reach.sample(self.mount, now_s)
         live = self._live(now_s)

@@ -14,7 +14,7 @@ from daemon.base.clock import LoopClock
 from daemon.base.records import Pose
 from daemon.commands.main import main
 from daemon.config.settings import Settings
-from daemon.store.settings_kept import tell_changes
+from daemon.store.settings_kept import publish_changes
 from tests.support.stored_day import FLAGGED, GAP, HOSTILE_NAME, T0, faces_of, instants, open_store, stored_days
 
 pytestmark = pytest.mark.slow
@@ -235,7 +235,7 @@ def test_the_page_lists_the_changes_of_the_configuration(heliocube, tmp_path):
     kept = open_store(tmp_path / "store")
     for wind in (15.0, 15.0, 12.5):
         settings = Settings.model_validate({"safety": {"stow_wind_m_s": wind}}).model_dump(mode="json")
-        tell_changes(settings, tmp_path / "store", LoopClock(lambda: 60.0, T0), kept.keep)
+        publish_changes(settings, tmp_path / "store", LoopClock(lambda: 60.0, T0), kept.keep)
     kept.keep(Pose(T0, 0.0, 0.0, 90.0, False, "roof"))
     kept.close()
     arguments = ("--store", tmp_path / "store", "--day", "2022-10-14", "--out", tmp_path)
