@@ -87,11 +87,11 @@ def campaign(
         if as_json:
             print_json({"beyond": beyond, "written": reliability})
         raise typer.Exit(1 if beyond else 0)
-    attack = Campaign(schedules, workers, say, keep, show=show)
+    campaign = Campaign(schedules, workers, say, keep, show=show)
     with progress_bar(errors, "attacking") as progress:
-        code = attack.run(progress)
+        code = campaign.run(progress)
     if as_json:
-        print_json(attack.summary.as_dict())
+        print_json(campaign.summary.as_dict())
     raise typer.Exit(code)
 
 

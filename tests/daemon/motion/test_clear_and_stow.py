@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import Target
 from drivers.errors import RefusedError
-from tests.support.hand_positioner import FakePositioner, run_motion, wait_out_standstill
+from tests.support.fake_positioner import FakePositioner, run_motion, wait_out_standstill
 
 
 class SlowToClear(FakePositioner):

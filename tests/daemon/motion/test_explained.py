@@ -6,7 +6,7 @@ import itertools
 import pytest
 
 from daemon.base.records import Event, Target
-from tests.support.hand_positioner import run_motion, wait_out_standstill
+from tests.support.fake_positioner import run_motion, wait_out_standstill
 
 
 @pytest.mark.parametrize(("after_s", "explained"), [(0.0, True), (2.0, True), (3.4, True), (4.6, False)])

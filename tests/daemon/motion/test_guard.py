@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import Event, MoveOutcome, Target
 from drivers.errors import RefusedError
-from tests.support.hand_positioner import RepeatingFakePositioner, run_motion, wait_out_standstill
+from tests.support.fake_positioner import RepeatingFakePositioner, run_motion, wait_out_standstill
 
 
 @pytest.mark.parametrize(("a_deg", "b_deg"), [(30.0, 60.0), (0.0, 20.0)])

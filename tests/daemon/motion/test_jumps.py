@@ -13,7 +13,7 @@ from drivers.positioners.pozsol.table import FieldTable
 from drivers.positioners.pozsol.watch import PositionerWatch
 from drivers.positioners.pozsol.wire import TokenStream
 from drivers.settings import PositionerSettings
-from tests.support.hand_positioner import FakePositioner, run_motion
+from tests.support.fake_positioner import FakePositioner, run_motion
 
 A = AxisSetup(Triangle(300.0, 300.0, 90.0, -52.0), -50.0, 50.0)
 B = AxisSetup(Triangle(300.0, 300.0, 37.5, 13.0), 15.0, 90.0)

@@ -7,7 +7,7 @@ import pytest
 
 from daemon.base.records import MoveOutcome, Target
 from drivers.errors import DriverHungError, LinkLostError, RefusedError
-from tests.support.hand_positioner import FakePositioner, run_motion
+from tests.support.fake_positioner import FakePositioner, run_motion
 
 
 def test_before_the_first_contact_moves_reference_runs_and_clears_are_refused():

@@ -8,7 +8,7 @@ import pytest
 from daemon.base.records import Target
 from daemon.motion.polling import Polling
 from drivers.errors import RefusedError
-from tests.support.hand_positioner import RepeatingFakePositioner, run_motion, wait_out_standstill
+from tests.support.fake_positioner import RepeatingFakePositioner, run_motion, wait_out_standstill
 
 
 def test_the_place_of_rest_is_unknown_from_an_order_until_the_move_has_settled():

@@ -9,7 +9,7 @@ from daemon.base.records import MoveOutcome, Target
 from daemon.motion.polling import Polling
 from drivers.errors import RefusedError
 from drivers.interfaces import PositionerIdentity
-from tests.support.hand_positioner import FakePositioner, run_motion
+from tests.support.fake_positioner import FakePositioner, run_motion
 
 
 @pytest.mark.parametrize("target", [(-50.1, 60), (50.1, 60), (0, 14.9), (0, 90.1), (math.nan, 60), (0, math.nan)])

@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import MoveOutcome, Target
 from drivers.errors import LinkLostError
-from tests.support.hand_positioner import FakePositioner, run_motion
+from tests.support.fake_positioner import FakePositioner, run_motion
 from tests.support.motion import STOP_PACKET, commands_sent
 from tests.support.phases import wait_for_long_rest, wait_for_move
 

@@ -8,7 +8,7 @@ from daemon.base.records import Pose, Target
 from daemon.base.state import StateFolder
 from daemon.motion.doubts import NOT_FINISHED, Doubts
 from drivers.errors import LinkLostError, RefusedError
-from tests.support.hand_positioner import run_motion
+from tests.support.fake_positioner import run_motion
 
 
 def clear_slowly(unit):

@@ -9,7 +9,7 @@ import pytest
 
 from daemon.base.records import MoveOutcome, Target
 from drivers.errors import LinkLostError, RefusedError
-from tests.support.hand_positioner import START_UTC_S, run_motion
+from tests.support.fake_positioner import START_UTC_S, run_motion
 
 
 def times_of(rig, name):

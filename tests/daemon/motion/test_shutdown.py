@@ -6,7 +6,7 @@ import pytest
 
 from daemon.base.records import Target
 from daemon.motion.shutdown import stop_and_confirm
-from tests.support.hand_positioner import FakePositioner, run_motion
+from tests.support.fake_positioner import FakePositioner, run_motion
 
 SENT = "stop was sent, and no telemetry has shown the axes standing since"
 

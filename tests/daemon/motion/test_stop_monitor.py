@@ -8,7 +8,7 @@ import pytest
 
 from daemon.base.records import Target
 from drivers.settings import PositionerSettings
-from tests.support.hand_positioner import DEAF_S, FakePositioner, run_motion
+from tests.support.fake_positioner import DEAF_S, FakePositioner, run_motion
 
 
 def test_a_positioner_that_does_not_obey_stop_is_reported_after_five_seconds_and_stopped_repeatedly():

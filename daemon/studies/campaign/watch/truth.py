@@ -65,7 +65,7 @@ class TruthWatch:
         self.decision_check = DecisionCheck(self.add_violation)
         self.reach = Reach()
         self.count_check = CountCheck(self.add_violation)
-        self._steady = change_detector.ChangeDetector()
+        self._change_detector = change_detector.ChangeDetector()
         self.moving: dict[AxisName, bool] = {"a": False, "b": False}
         self.blind: set[AxisName] = set()
         self.active_faults = 0
@@ -167,7 +167,7 @@ class TruthWatch:
         """Take note of maintenance."""
         if self._maintenance_s is None:
             self._maintenance_s = self.now_s
-        self._steady.forget()
+        self._change_detector.forget()
 
     def note_maintenance_end(self) -> None:
         """Take note that maintenance is over, or was refused."""
@@ -177,7 +177,7 @@ class TruthWatch:
         """Take note that the wind has been strong for more than a second."""
         if self.mount.is_served and self.now_s - self.reach.begun_s > STORM_RESPONSE_S:
             self.storms.gust_s = self.now_s
-            self._steady.forget()
+            self._change_detector.forget()
 
     def note_scan(self, scan: Scan) -> None:
         """Take note of a scan that the service has accepted."""
@@ -212,7 +212,7 @@ class TruthWatch:
     def wake(self) -> None:
         """Sample often for a while: something may begin to move."""
         self._fast_until_s = max(self._fast_until_s, self.now_s + 1.0)
-        self._steady.forget()
+        self._change_detector.forget()
         self._wake.set()
 
     async def run(self) -> None:
@@ -245,11 +245,11 @@ class TruthWatch:
             return
         least_deg = MOVES_DEG * min(gone_s / SAMPLE_S, 1.0)
         turns = change_detector.turning(before, at, least_deg)
-        if not self._steady.is_unchanged(self.mount, turns, now_s):
-            self._steady.forget()
+        if not self._change_detector.is_unchanged(self.mount, turns, now_s):
+            self._change_detector.forget()
             until_s = self._examine(before, at, least_deg, now_s)
             if until_s > now_s:
-                self._steady.note(self.mount, now_s, turns, until_s)
+                self._change_detector.note(self.mount, now_s, turns, until_s)
         elif turns != change_detector.STANDS:
             self._note_motion(now_s)
 

@@ -208,8 +208,8 @@ def _ctrl_c():
 def test_ctrl_c_ends_a_campaign_with_a_report_of_what_was_done(tmp_path):
     said = []
     schedules = [draw_schedule(seed, 0.02) for seed in (1, 2, 3)]
-    attack = Campaign(schedules, THIS_PROCESS, said.append, tmp_path / "failures", show=False)
-    code = attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT))
+    study = Campaign(schedules, THIS_PROCESS, said.append, tmp_path / "failures", show=False)
+    code = study.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT))
     assert code == 130
     assert said[0].startswith("2 schedules, 0.04 h")
     assert said[-1] == "ended before 1 more"
@@ -222,9 +222,9 @@ def test_a_failure_found_before_ctrl_c_is_saved_unreduced(tmp_path, monkeypatch)
     said, keep = [], tmp_path / "failures"
     given = tuple(ScheduledEvent(70.0 + 20 * at, "command", name) for at, name in enumerate(("stow", "auto")))
     failing = replace(draw_schedule(7, 0.03), events=given)
-    attack = Campaign(
+    study = Campaign(
         [failing, draw_schedule(1, 0.02), draw_schedule(2, 0.02)], THIS_PROCESS, said.append, keep, show=False
     )
-    assert attack.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT)) == 1
+    assert study.run(lambda share: share > 0.5 and signal.raise_signal(signal.SIGINT)) == 1
     assert chosen_schedules(1, 1, 1.0, (), (), keep / "seed-7.json") == [failing]
     assert f"again: heliocube campaign --schedule {keep / 'seed-7.json'} --show" in said
